@@ -1,0 +1,41 @@
+"""Process-wide settings that only count before JAX starts: host devices and the compilation cache."""
+
+import os
+import platform
+import sys
+from pathlib import Path
+
+HOST_DEVICES_FLAG = "--xla_force_host_platform_device_count"
+
+
+def _cores() -> int:
+    """CPU cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _set_host_devices() -> None:
+    """Show each CPU core to JAX as a device, so the environment axis can be sharded over them.
+
+    Worth a factor of two in simulation speed on two cores. A user's own setting is left alone.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if HOST_DEVICES_FLAG not in flags and "jax" not in sys.modules:
+        os.environ["XLA_FLAGS"] = f"{flags} {HOST_DEVICES_FLAG}={_cores()}".strip()
+
+
+def _set_compilation_cache() -> None:
+    """Keep compiled programs between processes, in one folder per jaxlib version and processor."""
+    from importlib.metadata import version
+
+    root = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    folder = root / "qdil" / f"jaxlib-{version('jaxlib')}-{platform.machine()}"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+def prepare() -> None:
+    """Apply both settings; called once, when ``qdil`` is imported."""
+    _set_host_devices()
+    _set_compilation_cache()

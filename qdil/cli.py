@@ -1,0 +1,119 @@
+"""The command line: thin over the library; exit code 0 done, 1 failed or interrupted, 2 a request that cannot be met."""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from qdil.config import BUDGETS, ROBOTS, ConfigError, make_config, method_names, parse_settings, settings_help
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="qdil", description="Quality-diversity imitation learning (PPGA, MConbo-GAIL)."
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+
+    train = commands.add_parser(
+        "train",
+        help="train one archive with one method",
+        description="Train one archive. Imitation methods need demonstrations: see 'qdil demos'.",
+        epilog=settings_help(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    train.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    train.add_argument("--method", required=True, help=f"one of {', '.join(method_names())}")
+    _budget_and_seed(train)
+    train.add_argument(
+        "--demos", type=Path, metavar="FILE", help="demonstrations (default: results/BUDGET/ENV/demos-N.npz)"
+    )
+    train.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="settings",
+        help="change a setting (repeatable)",
+    )
+    train.add_argument("--out", type=Path, help="run folder (default: results/BUDGET/ENV/METHOD/seed-N)")
+
+    demos = commands.add_parser(
+        "demos",
+        help="record demonstrations of a trained expert",
+        description="Choose diverse elites of the expert ('--method true') and record an episode of each.",
+    )
+    demos.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    _budget_and_seed(demos)
+    demos.add_argument("--episodes", type=int, help="demonstrations to record (default: 4; smoke: 1)")
+    demos.add_argument("--expert", type=Path, help="the expert's run folder (default: that of --budget and --seed)")
+    demos.add_argument("--out", type=Path, metavar="FILE", help="default: results/BUDGET/ENV/demos-N.npz")
+
+    notebooks = commands.add_parser(
+        "notebooks", help="execute the notebooks headlessly", description="Execute notebooks with papermill."
+    )
+    notebooks.add_argument("names", nargs="*", metavar="NAME", help="notebooks, e.g. 05_mconbo_gail (default: all)")
+    notebooks.add_argument("--budget", default="smoke", help=f"one of {', '.join(BUDGETS)} (default: smoke)")
+    return parser
+
+
+def _budget_and_seed(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of all randomness (default: 1)")
+
+
+def _train(args: argparse.Namespace) -> int:
+    config = make_config(args.env, args.method, args.budget, args.seed, **parse_settings(args.settings))
+    from qdil import run
+    from qdil.progress import Progress
+
+    folder = args.out or run.folder_of(config)
+    progress = Progress(config)
+    try:
+        trained = run.train(config, folder, args.demos, progress)
+    finally:
+        progress.close()
+    print(f"The run in {folder} is {'finished' if trained else 'already finished; nothing to do'}.")
+    return 0
+
+
+def _demos(args: argparse.Namespace) -> int:
+    config = make_config(args.env, "true", args.budget, args.seed)
+    episodes = config.demo_episodes if args.episodes is None else args.episodes
+    if episodes < 1:
+        raise ConfigError(f"--episodes {episodes} must be at least 1.")
+    from qdil import run
+
+    path = run.make_demos(args.env, args.budget, episodes, args.seed, args.expert, args.out)
+    print(f"Wrote {episodes} demonstrations to {path}.")
+    return 0
+
+
+def _notebooks(args: argparse.Namespace) -> int:
+    from qdil import notebooks
+
+    if args.budget not in BUDGETS:
+        raise ConfigError(f"unknown budget '{args.budget}'; choose one of {', '.join(BUDGETS)}.")
+    failures = notebooks.execute_all(args.names, args.budget)
+    for failure in failures:
+        print(failure, file=sys.stderr)
+    return 1 if failures else 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    args = _parser().parse_args(argv)
+    try:
+        return {"train": _train, "demos": _demos, "notebooks": _notebooks}[args.command](args)
+    except ConfigError as error:
+        print(f"qdil: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("qdil: interrupted.", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,252 @@
+"""Every setting of a run: one frozen dataclass, three budgets, method names, and what is refused before anything compiles."""
+
+import dataclasses
+import inspect
+import re
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, get_args
+
+BUDGETS = ("smoke", "laptop", "full")
+ROBOTS = ("halfcheetah", "walker2d", "humanoid")
+BACKENDS = ("spring", "positional", "generalized", "mjx")
+BASES = ("true", "gail")
+PREFIXES = {"": (False, False), "mcond-": (True, False), "mbo-": (False, True), "mconbo-": (True, True)}
+
+
+class ConfigError(ValueError):
+    """A setting that cannot be used; the message is one sentence a person can act on."""
+
+
+class Method(NamedTuple):
+    """A method name taken apart."""
+
+    base: str  # which reward model
+    conditioned: bool  # δ(s) among the reward model's inputs (eq. 3)
+    bonus: bool  # measure bonus added to the reward that VPPO maximises (eq. 2)
+
+
+@dataclass(frozen=True)
+class Config:
+    """A run, nothing implied. Defaults are the ``full`` budget: the paper's and its authors' settings."""
+
+    # What is run
+    env: str = "walker2d"
+    method: str = "mconbo-gail"
+    budget: str = "full"
+    seed: int = 1
+    backend: str = "spring"  # Brax backend (paper: the ancestor of spring)
+    devices: int = 0  # local devices to shard over; 0: as many as divide the counts
+
+    # PPGA (Algorithm 1)
+    iterations: int = 2000  # QD iterations N_Q (paper, Fig. 5)
+    warmup_updates: int = 0  # plain PPO updates on the method's own reward before iteration 1 (ours; 0 in the paper)
+    gradient_updates: int = 10  # N1, VPPO updates behind each Jacobian (paper, Table 4)
+    walk_updates: int = 10  # N2, VPPO updates of the walk (paper, Table 4)
+    candidates: int = 300  # λ, branched policies an iteration (authors' setting)
+    episodes: int = 10  # whole episodes per candidate (authors' setting)
+    cells: int = 50  # grid cells per measure (paper: 50x50)
+    sigma0: float = 1.0  # xNES initial step σ_g, in unit-length gradient rows (authors: 1; humanoid 0.5)
+    archive_learning_rate: float = 0.5  # α of the soft archive, 0 < α ≤ 1 (authors: 0.5; humanoid 0.1)
+    threshold_min: float = 200.0  # soft archive's threshold of an empty cell, return units (authors)
+    selection: str = "learned"  # which return fills the archive: "learned" (Definition 1) or "true" (released program)
+    sample_actions: bool = True  # candidates and demonstrators act by samples of π_θ (True) or by its mean
+    eval_chunk: int = 50  # steps between checks whether all evaluated robots have finished
+
+    # VPPO
+    actor_hidden: tuple[int, ...] = (128, 128)  # tanh layers (authors)
+    critic_hidden: tuple[int, ...] = (256, 256)  # tanh layers (authors)
+    initial_std: float = 1.0  # of the action distribution, in action units
+    num_envs: int = 3000  # robots simulated side by side (authors)
+    window: int = 128  # steps per robot and VPPO update (authors)
+    episode_length: int = 1000  # time limit, steps (paper)
+    minibatches: int = 8  # per epoch (authors)
+    epochs: int = 4  # passes over a window (authors)
+    gamma: float = 0.99  # discount (authors)
+    gae_lambda: float = 0.95  # λ of GAE (authors)
+    clip: float = 0.2  # PPO's ratio and value clip (authors)
+    value_coef: float = 2.0  # (authors)
+    entropy_coef: float = 0.0  # (authors)
+    max_grad_norm: float = 1.0  # (authors)
+    learning_rate: float = 1e-3  # Adam (authors: 1e-3; humanoid 3e-4)
+    target_kl: float = 0.008  # nats; a copy stops its epochs beyond it (authors)
+
+    # Reward model and bonus
+    demo_episodes: int = 4  # demonstrations (paper, section 5.2)
+    bonus_p: float = 0.5  # p of eq. 2, reward per step (paper)
+    bonus_q: float = 0.5  # q of eq. 2, reward per step (paper; its own study prefers 1)
+    bonus_in_fitness: bool = False  # add the bonus to the fitness that fills the archive too
+    reward_hidden: tuple[int, ...] = (100, 100)  # discriminator's tanh layers (paper, Table 5)
+    reward_learning_rate: float = 3e-4  # Adam (paper, Table 5)
+    reward_steps: int = 100  # discriminator steps per QD iteration (ours)
+    reward_batch: int = 512  # expert rows, and as many policy rows, per discriminator step (ours)
+    gradient_penalty: float = 10.0  # weight λ of the penalty (authors)
+
+
+LAPTOP: dict[str, Any] = {
+    "iterations": 150,
+    "warmup_updates": 300,
+    "gradient_updates": 5,
+    "walk_updates": 5,
+    "candidates": 48,
+    "episodes": 4,
+    "cells": 20,
+    "actor_hidden": (64, 64),
+    "critic_hidden": (64, 64),
+    "num_envs": 192,
+    "window": 64,
+    "episode_length": 300,
+    "threshold_min": 0.0,
+    "reward_steps": 20,
+}
+
+SMOKE: dict[str, Any] = {
+    **LAPTOP,
+    "iterations": 2,
+    "warmup_updates": 2,
+    "gradient_updates": 1,
+    "walk_updates": 1,
+    "candidates": 8,
+    "episodes": 2,
+    "cells": 5,
+    "actor_hidden": (16, 16),
+    "critic_hidden": (16, 16),
+    "num_envs": 24,
+    "window": 16,
+    "episode_length": 50,
+    "minibatches": 2,
+    "epochs": 2,
+    "demo_episodes": 1,
+    "reward_steps": 4,
+}
+
+# What differs between robots, by budget.
+PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
+    ("full", "humanoid"): {"sigma0": 0.5, "archive_learning_rate": 0.1, "learning_rate": 3e-4},
+}
+
+
+def parse_method(name: str) -> Method:
+    """Take a method name apart, e.g. ``mconbo-gail``. Raises ConfigError for a name that means nothing."""
+    for prefix in sorted(PREFIXES, key=len, reverse=True):
+        if name.startswith(prefix) and name[len(prefix) :] in BASES:
+            base, (conditioned, bonus) = name[len(prefix) :], PREFIXES[prefix]
+            if base == "true" and conditioned:
+                raise ConfigError(f"method '{name}': the true reward has no inputs to condition; use true or mbo-true.")
+            return Method(base, conditioned, bonus)
+    raise ConfigError(f"unknown method '{name}'; choose one of {', '.join(method_names())}.")
+
+
+def method_names() -> list[str]:
+    """All method names, plain ones first."""
+    return [p + b for b in BASES for p in PREFIXES if not (b == "true" and PREFIXES[p][0])]
+
+
+def make_config(env: str, method: str, budget: str, seed: int = 1, **changes: Any) -> Config:
+    """The configuration of one run: a budget, adapted to the robot, with ``changes`` on top; checked.
+
+    Raises ConfigError for anything that cannot run.
+    """
+    if budget not in BUDGETS:
+        raise ConfigError(f"unknown budget '{budget}'; choose one of {', '.join(BUDGETS)}.")
+    if env not in ROBOTS:
+        raise ConfigError(f"unknown robot '{env}'; choose one of {', '.join(ROBOTS)}.")
+    base = parse_method(method).base
+    unknown = [name for name in changes if name not in {f.name for f in fields(Config)}]
+    if unknown:
+        raise ConfigError(f"unknown setting '{unknown[0]}'; see 'qdil train --help' for their names.")
+    chosen = {"smoke": SMOKE, "laptop": LAPTOP, "full": {}}[budget] | PER_ROBOT.get((budget, env), {})
+    if env == "halfcheetah" and base != "true" and budget == "full":
+        chosen = {**chosen, "threshold_min": -500.0}  # authors, with imitation rewards
+    config = replace(Config(env=env, method=method, budget=budget, seed=seed), **(chosen | changes))
+    check(config)
+    return config
+
+
+def parse_settings(pairs: list[str]) -> dict[str, Any]:
+    """Turn ``key=value`` strings into typed settings. Raises ConfigError for a name or value that does not fit."""
+    types = {f.name: f.type for f in fields(Config)}
+    settings = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not equals or name not in types:
+            raise ConfigError(f"'--set {pair}': expected NAME=VALUE with one of the names {', '.join(types)}.")
+        try:
+            settings[name] = _typed(types[name], text)
+        except ValueError:
+            raise ConfigError(
+                f"'--set {pair}': '{text}' is not a value for {name} ({_describe(types[name])})."
+            ) from None
+    return settings
+
+
+def _describe(kind: Any) -> str:
+    return "integers like 64,64" if get_args(kind) else kind.__name__
+
+
+def _typed(kind: Any, text: str) -> Any:
+    if get_args(kind):
+        return tuple(int(part) for part in text.split(","))
+    if kind is bool:
+        if text.lower() not in ("true", "false"):
+            raise ValueError(text)
+        return text.lower() == "true"
+    return kind(text)
+
+
+AT_LEAST_ONE = (
+    "iterations", "gradient_updates", "walk_updates", "candidates", "episodes", "cells", "eval_chunk", "num_envs",
+    "window", "episode_length", "minibatches", "epochs", "demo_episodes", "reward_steps", "reward_batch",
+)  # fmt: skip
+POSITIVE = ("sigma0", "initial_std", "clip", "max_grad_norm", "learning_rate", "target_kl", "reward_learning_rate")
+NOT_NEGATIVE = (
+    "seed", "devices", "warmup_updates", "value_coef", "entropy_coef", "bonus_p", "bonus_q", "gradient_penalty",
+)  # fmt: skip
+
+
+def check(config: Config) -> None:
+    """Raise ConfigError, in one sentence that names the setting, for values that cannot work."""
+    parse_method(config.method)
+    for name in AT_LEAST_ONE:
+        _require(getattr(config, name) >= 1, config, name, "must be at least 1")
+    for name in POSITIVE:
+        _require(getattr(config, name) > 0, config, name, "must be positive")
+    for name in NOT_NEGATIVE:
+        _require(getattr(config, name) >= 0, config, name, "must not be negative")
+    for name in ("gamma", "gae_lambda", "archive_learning_rate"):
+        _require(0 < getattr(config, name) <= 1, config, name, "must be above 0 and at most 1")
+    for name in ("actor_hidden", "critic_hidden", "reward_hidden"):
+        sizes = getattr(config, name)
+        _require(len(sizes) > 0 and min(sizes) >= 1, config, name, "must be layer widths of at least 1")
+    _require(config.backend in BACKENDS, config, "backend", f"must be one of {', '.join(BACKENDS)}")
+    _require(config.selection in ("learned", "true"), config, "selection", "must be learned or true")
+    _require(config.window % config.minibatches == 0, config, "minibatches", f"must divide window={config.window}")
+    _require(config.num_envs % 3 == 0, config, "num_envs", "must divide by 3, the copies that VPPO trains (1 + k)")
+
+
+def _require(holds: bool, config: Config, name: str, rule: str) -> None:
+    if not holds:
+        raise ConfigError(f"{name}={getattr(config, name)} {rule}.")
+
+
+def to_json(config: Config) -> dict[str, Any]:
+    """Plain values, for ``config.json``."""
+    return {
+        name: list(value) if isinstance(value, tuple) else value for name, value in dataclasses.asdict(config).items()
+    }
+
+
+def from_json(content: dict[str, Any]) -> Config:
+    """Undo ``to_json`` and check."""
+    config = Config(**{name: tuple(value) if isinstance(value, list) else value for name, value in content.items()})
+    check(config)
+    return config
+
+
+def settings_help() -> str:
+    """The settings that ``--set`` takes, each with its ``full`` default and the comment beside it above."""
+    lines = ["settings for --set (defaults of the 'full' budget; 'smoke' and 'laptop' change some):"]
+    for line in inspect.getsource(Config).splitlines():
+        match = re.match(r"    (\w+): .* = (.*?)  # (.*)", line)
+        if match and match[1] not in ("env", "method", "budget", "seed"):
+            lines.append(f"  {match[1]}={match[2]}: {match[3]}")
+    return "\n".join(lines)

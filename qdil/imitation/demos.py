@@ -1,0 +1,114 @@
+"""Demonstrations: choosing expert elites (section 5.2), recording their episodes, keeping them in a file."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdil.files import write_npz
+from qdil.imitation.reward_model import Demonstrations
+from qdil.robots.environment import Environment
+from qdil.search import networks
+from qdil.search.rollout import start, window
+from qdil.types import ObsStats, Params
+
+FIELDS = ("obs", "action", "next_obs", "proxy")
+
+
+def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
+    """Rows of the best elites: as many as a fifth of the archive's cells (500 of the paper's 2500), best first."""
+    return np.argsort(-fitness, kind="stable")[: max(1, cells // 5)]
+
+
+def farthest_points(measures: np.ndarray, count: int) -> np.ndarray:
+    """Rows of ``count`` diverse points among ``measures`` (N, k): the first, then always the one farthest from all chosen.
+
+    Raises ValueError if there are fewer points than asked for.
+    """
+    if len(measures) < count:
+        raise ValueError(f"{count} demonstrations were asked for, but only {len(measures)} elites are there.")
+    chosen = [0]
+    while len(chosen) < count:
+        distances = np.linalg.norm(measures[:, None] - measures[chosen][None], axis=-1)
+        chosen.append(int(np.argmax(distances.min(axis=1))))
+    return np.asarray(chosen)
+
+
+def select(fitness: np.ndarray, measures: np.ndarray, cells: int, count: int) -> np.ndarray:
+    """Rows of the ``count`` demonstrators: farthest points, from the best, among the top fifth."""
+    pool = top_fifth(fitness, cells)
+    return pool[farthest_points(measures[pool], count)]
+
+
+def record(
+    env: Environment,
+    like: Params,
+    elites: dict[str, np.ndarray],
+    key: jax.Array,
+    episode_length: int,
+    sample_actions: bool,
+) -> dict[str, np.ndarray]:
+    """One whole episode of each elite, steps in rows: (s_t, a_t, s_{t+1}, δ(s_t), …), state and action of the same step.
+
+    ``elites`` has ``solution`` (n, P), ``obs_mean`` and ``obs_std`` (n, O). Also returns, per episode,
+    ``episode_return`` and ``episode_measures``; ``episode`` (N,) says which episode a row belongs to.
+    """
+    policies = jax.vmap(lambda t: networks.unflatten(t, like))(jnp.asarray(elites["solution"]))
+    zeros = jnp.zeros_like(jnp.asarray(elites["obs_mean"]))
+    stats = ObsStats(jnp.asarray(elites["obs_mean"]), jnp.asarray(elites["obs_std"]), zeros, jnp.zeros(len(zeros)))
+
+    def act(key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        mean = jax.vmap(networks.policy_mean)(policies, stats, obs)
+        noise = jax.vmap(lambda k: jax.random.normal(k, mean.shape[-1:]))(key)
+        spread = jnp.exp(policies["log_std"]) if sample_actions else 0.0
+        return mean + noise * spread, jnp.zeros(len(key))
+
+    keys = jax.random.split(key, len(elites["solution"]))
+    run = jax.jit(lambda k: window(env, act, start(env, k), episode_length, episode_length)[1])
+    steps = jax.tree.map(np.asarray, run(keys))
+    lengths = np.argmax(steps.ended, axis=0) + 1
+    episodes = [
+        {name: getattr(steps, name)[:n, i] for name in (*FIELDS, "reward", "terminated", "truncated")}
+        for i, n in enumerate(lengths)
+    ]
+    joined = {name: np.concatenate([e[name] for e in episodes]) for name in episodes[0]}
+    joined["episode"] = np.repeat(np.arange(len(lengths)), lengths)
+    joined["episode_return"] = np.array([e["reward"].sum() for e in episodes])
+    joined["episode_measures"] = np.array([e["proxy"].mean(axis=0) for e in episodes])
+    return joined
+
+
+def save(path: Path, recorded: dict[str, np.ndarray], env: Environment) -> None:
+    """Write recorded episodes with the robot's name and backend beside them."""
+    write_npz(path, **recorded, robot=np.array(env.name), backend=np.array(env.backend))
+
+
+def load(path: Path, robot: str, backend: str) -> Demonstrations:
+    """Read and check a demonstrations file.
+
+    Raises ValueError in one sentence for a missing or unreadable file, another robot's or backend's
+    demonstrations, missing columns, unequal rows, no rows, or numbers that are not finite.
+    """
+    if not path.is_file():
+        raise ValueError(f"no demonstrations at {path}: make them with 'qdil demos --env {robot}'.")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, KeyError) as error:
+        raise ValueError(f"{path} is not a readable demonstrations file ({error}).") from None
+    except Exception as error:  # zipfile and zlib have errors of their own for corrupt archives
+        raise ValueError(f"{path} is damaged ({error}).") from None
+    missing = [name for name in (*FIELDS, "robot", "backend") if name not in data]
+    if missing:
+        raise ValueError(f"{path} is not a demonstrations file: it has no {', '.join(missing)}.")
+    if str(data["robot"]) != robot or str(data["backend"]) != backend:
+        raise ValueError(
+            f"{path} holds demonstrations of {data['robot']} on {data['backend']}, not of {robot} on {backend}."
+        )
+    lengths = {len(data[name]) for name in FIELDS}
+    if len(lengths) != 1 or 0 in lengths:
+        raise ValueError(f"{path} has columns of {sorted(lengths)} rows; they must agree and not be empty.")
+    if not all(np.isfinite(data[name]).all() for name in FIELDS):
+        raise ValueError(f"{path} contains numbers that are not finite.")
+    return Demonstrations(*(jnp.asarray(data[name], jnp.float32) for name in FIELDS))

@@ -1,0 +1,170 @@
+"""PPGA with MConbo-IRL: Algorithm 1 of the paper, one QD iteration a page."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdil.compiled import Compiled, State, compile_run
+from qdil.config import Config, parse_method
+from qdil.imitation.bonus import is_empty
+from qdil.imitation.reward_model import Demonstrations
+from qdil.search import archive
+from qdil.search.archive import Archives, Candidates
+from qdil.search.evaluate import Policies
+from qdil.search.xnes import XNES
+
+
+class Search(NamedTuple):
+    """A run in progress: what is compiled, what lives on the host, what lives on the devices."""
+
+    config: Config
+    compiled: Compiled
+    archives: Archives
+    xnes: XNES
+    rng: np.random.Generator  # draws the elites of restarts
+    demos: Demonstrations | None
+    state: State
+
+
+def begin(config: Config, demos: Demonstrations | None) -> Search:
+    """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives."""
+    compiled = compile_run(config)
+    k = len(compiled.env.measure_names)
+    archives = archive.make(
+        config.cells,
+        k,
+        sum(leaf.size for leaf in jax.tree.leaves(compiled.like)),
+        compiled.env.obs_size,
+        config.archive_learning_rate,
+        config.threshold_min,
+    )
+    xnes_seed, elite_seed = np.random.SeedSequence(config.seed).spawn(2)
+    xnes = XNES(config.sigma0, 1 + k, config.candidates, seed=xnes_seed)
+    state = compiled.init(jax.random.key(config.seed), demos)
+    return Search(config, compiled, archives, xnes, np.random.default_rng(elite_seed), demos, state)
+
+
+def iteration(search: Search) -> tuple[Search, dict[str, float]]:
+    """One QD iteration, Algorithm 1, lines 4-22. Archives, xNES and the generator change in place."""
+    config, compiled, archives, xnes, rng, demos, state = search
+    occupied = jnp.asarray(archive.occupied(archives))
+    streams = 1 + len(compiled.env.measure_names)
+
+    # Gradients (lines 4-5): copy i of θ_μ is trained on reward stream i alone.
+    forked = compiled.train(state, occupied, jnp.eye(streams), False, config.gradient_updates, config.epochs)
+    state = _after_gradients(state, forked.state)
+
+    # Branching (lines 6-11): candidates along sampled combinations of the gradients, each over whole episodes.
+    coefficients = xnes.ask()
+    branched, _ = compiled.branch(state, forked.theta, jnp.asarray(coefficients, jnp.float32))
+    key, episode_key = jax.random.split(state.key)
+    state = state._replace(key=key)
+    candidates = evaluate(search._replace(state=state), branched, episode_key)
+
+    # Archive (line 12, Algorithm 2) and search distribution (lines 14-15).
+    improvement = archive.add(archives, candidates)
+    xnes.tell(np.argsort(-improvement, kind="stable"), improvement)
+
+    # Walk (lines 16-17): θ_μ moves on the reward weighted by the xNES mean c_μ.
+    c_mu = jnp.asarray(xnes.mean, jnp.float32)
+    c_mu = c_mu.at[0].set(jnp.abs(c_mu[0]))
+    walked = compiled.train(state, occupied, _tied(c_mu), True, config.walk_updates, config.epochs)
+    state = walked.state
+
+    # Reward model (line 18): fresh rollouts of the walked policy, nothing learned from them but the reward.
+    reward_info: dict[str, jax.Array] = {}
+    if compiled.learns:
+        fresh = compiled.train(state, occupied, _tied(c_mu), True, 1, 0)
+        state, reward_info = compiled.update_reward(fresh.state, occupied, demos, fresh.transitions)
+
+    # Restart (lines 19-22): nothing was added, so start again from a random elite with its own statistics.
+    restarted = not improvement.any()
+    if restarted or xnes.check_stop(improvement):
+        xnes.reset(np.zeros(streams))
+        elite = archive.random_elite(archives, rng)
+        if elite is not None:
+            state = compiled.jump(state, elite["solution"], elite["obs_mean"], elite["obs_std"])
+
+    info = {
+        "restarts": float(restarted),
+        **{f"c{i}": float(c) for i, c in enumerate(c_mu)},
+        "steps": _env_steps(config, candidates, compiled.learns),
+        "added": float((improvement > 0).sum()),
+        "not_finite": float((~candidates.finite).sum()),
+        "walk_reward": float(walked.info["fitness_reward"]),
+        "true_reward": float(walked.info["true_reward"]),
+        "approx_kl": float(walked.info["approx_kl"]),
+        "action_std": float(walked.info["action_std"]),
+        **{name: float(value) for name, value in reward_info.items()},
+    }
+    return search._replace(state=state), info
+
+
+def warm_up(search: Search, updates: int) -> tuple[Search, int]:
+    """Plain PPO on the method's own reward before the first iteration (ours, the same for every method).
+
+    In rounds of N2 updates, so that a learned reward model learns along. Returns the environment steps taken.
+    """
+    config, compiled, demos, state = search.config, search.compiled, search.demos, search.state
+    occupied = jnp.asarray(archive.occupied(search.archives))
+    weights = _tied(jnp.eye(1 + len(compiled.env.measure_names))[0])
+    done = 0
+    while done < updates:
+        now = min(config.walk_updates, updates - done)
+        trained = compiled.train(state, occupied, weights, True, now, config.epochs)
+        state, done = trained.state, done + now
+        if compiled.learns:
+            state, _ = compiled.update_reward(state, occupied, demos, trained.transitions)
+    return search._replace(state=state), updates * config.window * config.num_envs
+
+
+def _tied(weighting: jax.Array) -> jax.Array:
+    """One weighting (1+k,) for every copy."""
+    return jnp.tile(weighting, (len(weighting), 1))
+
+
+def _after_gradients(before: State, after: State) -> State:
+    """The copies are thrown away; what they saw of the world (statistics, where the robots are) stays."""
+    return after._replace(learner=before.learner)
+
+
+def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
+    """Score λ policies over whole episodes and bring them to the host, with the fitness that archives compete on."""
+    config, state = search.config, search.state
+    occupied = jnp.asarray(archive.occupied(search.archives))
+    keys = jax.random.split(key, (config.candidates, config.episodes))
+    scores = search.compiled.evaluate(policies, state, occupied, keys)
+    fitness = scores.true_return if config.selection == "true" else scores.fitness
+    if config.bonus_in_fitness and parse_method(config.method).bonus:
+        bonus = config.bonus_p + config.bonus_q * is_empty(occupied, scores.measures)
+        fitness = fitness + bonus * scores.length
+    host = jax.device_get((fitness, scores.true_return, scores.measures, scores.length, scores.finite))
+    return Candidates(*jax.device_get(policies), *host)
+
+
+def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
+    """Score every elite again, by the reward model as it is now and over new episodes (Appendix K).
+
+    Returns ``rescored_fitness``, ``rescored_return`` (n,) and ``rescored_measures`` (n, k) in the order of
+    ``archive.elite_arrays``: what selection of the best of many noisy scores hides.
+    """
+    elites = archive.elite_arrays(search.archives)
+    count, size = len(elites["index"]), search.config.candidates
+    scores = []
+    for first in range(0, count, size):
+        rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up, then cut
+        batch = Policies(*(jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std")))
+        scores.append(evaluate(search, search.compiled.place(batch), jax.random.fold_in(key, first)))
+    k = len(search.compiled.env.measure_names)
+    fields = {"fitness": (0,), "true_return": (0,), "measures": (0, k)}
+    joined = {n: np.concatenate([np.zeros(e), *(getattr(s, n) for s in scores)])[:count] for n, e in fields.items()}
+    names = {"fitness": "rescored_fitness", "true_return": "rescored_return", "measures": "rescored_measures"}
+    return {names[name]: values.astype(np.float32) for name, values in joined.items()}
+
+
+def _env_steps(config: Config, candidates: Candidates, learns: bool) -> float:
+    """Environment steps of one iteration: both VPPO phases, the reward model's rollout and the evaluated episodes."""
+    updates = config.gradient_updates + config.walk_updates + int(learns)
+    return float(updates * config.window * config.num_envs + candidates.length.sum() * config.episodes)

@@ -1,0 +1,43 @@
+"""Telling a person how a run goes: a bar on a terminal or in a notebook, plain throttled lines in a log."""
+
+import sys
+import time
+
+from tqdm.auto import tqdm
+
+from qdil.config import Config
+from qdil.ppga import Search
+
+SECONDS_BETWEEN_LINES = 15.0
+
+
+class Progress:
+    """Call it after every iteration with the search and its row of metrics; ``close`` it at the end."""
+
+    def __init__(self, config: Config, live: bool | None = None) -> None:
+        """``live`` draws a bar; by default where standard error is a terminal."""
+        self.config = config
+        self.live = sys.stderr.isatty() if live is None else live
+        self.bar = tqdm(total=config.iterations, desc=f"{config.env} {config.method}", unit="it") if self.live else None
+        self.begin, self.last_line = time.monotonic(), 0.0
+
+    def __call__(self, search: Search, row: dict[str, float]) -> None:
+        """Show one iteration."""
+        text = (
+            f"coverage {row['coverage']:.0%}, QD-score {row['qd_score']:.0f}, best {row['best']:.0f}, "
+            f"{row['env_steps'] / max(row['wall_seconds'], 1e-9):.0f} steps/s"
+        )
+        done, total = int(row["iteration"]), self.config.iterations
+        if self.bar is not None:
+            self.bar.set_postfix_str(text, refresh=False)
+            self.bar.update()
+        elif done == total or time.monotonic() - self.last_line > SECONDS_BETWEEN_LINES:
+            left = (time.monotonic() - self.begin) / done * (total - done)
+            label = f"{self.config.env} {self.config.method}"
+            print(f"{label}: iteration {done}/{total}, {text}, {left:.0f} s left", flush=True)
+            self.last_line = time.monotonic()
+
+    def close(self) -> None:
+        """Leave the terminal tidy."""
+        if self.bar is not None:
+            self.bar.close()

@@ -1,0 +1,79 @@
+"""The door to Brax: halfcheetah, walker2d and humanoid with foot contacts; nothing else imports Brax's physics."""
+
+import warnings
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qdil.robots.environment import Environment, Outcome, RobotState
+
+BACKENDS = ("spring", "positional", "generalized", "mjx")
+
+
+class Robot(NamedTuple):
+    """How a robot is called in Brax and which links are its feet."""
+
+    brax_name: str
+    feet: tuple[str, ...]
+
+
+# The humanoid's model has no foot links: its feet are spheres at the shins' lower ends.
+ROBOTS = {
+    "halfcheetah": Robot("halfcheetah", ("bfoot", "ffoot")),
+    "walker2d": Robot("walker2d", ("foot", "foot_left")),
+    "humanoid": Robot("humanoid", ("right_shin", "left_shin")),
+}
+
+
+def foot_links(link_names: list[str], feet: tuple[str, ...]) -> list[int]:
+    """Indices of the feet among the links. Raises ValueError unless every foot is found exactly once."""
+    missing = [foot for foot in feet if link_names.count(foot) != 1]
+    if missing:
+        raise ValueError(f"feet {missing} are not links of this robot; its links are {link_names}.")
+    return [link_names.index(foot) for foot in feet]
+
+
+def make(name: str, backend: str = "spring") -> Environment:
+    """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
+
+    The proxy δ(s) ∈ {0,1}^k is 1 where any collision shape of a foot's link touches the ground
+    (contact distance ≤ 0), computed from the same contacts the simulator resolves. Actions are
+    clipped to [-1, 1] before they reach the robot, so that its control cost counts what was applied.
+    """
+    if name not in ROBOTS:
+        raise ValueError(f"unknown robot '{name}'; choose one of {', '.join(ROBOTS)}.")
+    if backend not in BACKENDS:
+        raise ValueError(f"unknown backend '{backend}'; choose one of {', '.join(BACKENDS)}.")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Brax announces that its own robots are no longer maintained
+        from brax import contact, envs
+        from brax.envs.base import State
+
+        env: Any = envs.get_environment(ROBOTS[name].brax_name, backend=backend)
+    feet = jnp.asarray(foot_links(list(env.sys.link_names), ROBOTS[name].feet))
+    metric_names = tuple(jax.eval_shape(env.reset, jax.random.key(0)).metrics)
+
+    def proxy(physics: Any) -> jax.Array:
+        contacts = contact.get(env.sys, physics.x)
+        touching = contacts.dist <= 0.0
+        of_foot = (contacts.link_idx[0] == feet[:, None]) | (contacts.link_idx[1] == feet[:, None])
+        return jnp.any(of_foot & touching, axis=1).astype(jnp.float32)
+
+    def reset(key: jax.Array) -> RobotState:
+        state = env.reset(key)
+        return RobotState(state.pipeline_state, state.obs, proxy(state.pipeline_state))
+
+    def step(state: RobotState, action: jax.Array) -> tuple[RobotState, Outcome]:
+        zero = jnp.zeros(())
+        before = State(state.physics, state.obs, zero, zero, {m: zero for m in metric_names})
+        after = env.step(before, jnp.clip(action, -1.0, 1.0))
+        # A diverged robot ends its episode there; its last finite observation stands in for the lost one.
+        finite = jnp.all(jnp.isfinite(after.obs)) & jnp.isfinite(after.reward)
+        obs = jnp.where(finite, after.obs, state.obs)
+        outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
+        return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome
+
+    return Environment(
+        name, backend, int(env.observation_size), int(env.action_size), ROBOTS[name].feet, float(env.dt), reset, step
+    )

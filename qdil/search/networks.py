@@ -1,0 +1,67 @@
+"""The Gaussian policy, the critic and the small perceptron both are made of; and policies as flat vectors."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from qdil.search.normalise import normalise_obs
+from qdil.types import ObsStats, Params
+
+LOG_2PI = 1.8378770664093453
+
+
+def init_mlp(key: jax.Array, sizes: Sequence[int], last_scale: float = 1.0) -> Params:
+    """Weights of a tanh perceptron ``sizes[0] -> … -> sizes[-1]``: orthogonal, gain √2 (last layer ``last_scale``)."""
+    layers = []
+    for i, (key, fan_in, fan_out) in enumerate(zip(jax.random.split(key, len(sizes) - 1), sizes, sizes[1:])):
+        gain = last_scale if i == len(sizes) - 2 else 2.0**0.5
+        layers.append({"w": jax.nn.initializers.orthogonal(gain)(key, (fan_in, fan_out)), "b": jnp.zeros(fan_out)})
+    return layers
+
+
+def mlp(layers: Params, x: jax.Array) -> jax.Array:
+    """Apply ``init_mlp``'s network to ``x`` (..., sizes[0]): tanh between layers, linear at the end."""
+    for layer in layers[:-1]:
+        x = jnp.tanh(x @ layer["w"] + layer["b"])
+    return x @ layers[-1]["w"] + layers[-1]["b"]
+
+
+def init_policy(key: jax.Array, obs_size: int, action_size: int, hidden: Sequence[int], initial_std: float) -> Params:
+    """A policy π_θ(a|s) = N(mlp(s), diag(std²)) with a learned, state-independent ``log_std`` (A,)."""
+    return {
+        "mean": init_mlp(key, (obs_size, *hidden, action_size), last_scale=0.01),
+        "log_std": jnp.full((action_size,), jnp.log(initial_std), jnp.float32),
+    }
+
+
+def policy_mean(params: Params, stats: ObsStats, obs: jax.Array) -> jax.Array:
+    """The mean action (..., A) for raw observations (..., O)."""
+    return mlp(params["mean"], normalise_obs(stats, obs))
+
+
+def log_prob(params: Params, mean: jax.Array, raw_action: jax.Array) -> jax.Array:
+    """log N(raw_action | mean, std²), summed over the action axis."""
+    z = (raw_action - mean) * jnp.exp(-params["log_std"])
+    return jnp.sum(-0.5 * (jnp.square(z) + LOG_2PI) - params["log_std"], axis=-1)
+
+
+def entropy(params: Params) -> jax.Array:
+    """Differential entropy of the action distribution, in nats."""
+    return jnp.sum(params["log_std"] + 0.5 * (1.0 + LOG_2PI))
+
+
+def flat_size(params: Params) -> int:
+    """Number of parameters in θ."""
+    return sum(leaf.size for leaf in jax.tree.leaves(params))
+
+
+def flatten(params: Params) -> jax.Array:
+    """θ as one vector (P,): the form in which an archive keeps a policy."""
+    return ravel_pytree(params)[0]
+
+
+def unflatten(theta: jax.Array, like: Params) -> Params:
+    """The policy whose ``flatten`` is ``theta`` (P,); ``like`` gives the structure."""
+    return ravel_pytree(like)[1](theta)

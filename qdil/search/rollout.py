@@ -1,0 +1,83 @@
+"""Driving robots: a training window with auto-reset, and whole-episode evaluation that stops when all have fallen."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qdil.robots.environment import Environment, RobotState
+from qdil.types import Choice, Transitions
+
+RESET_POOL = 4  # fresh start states prepared per robot and window; drawing one costs nothing inside the loop
+
+Act = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]  # keys (E,), obs (E, O) -> raw action, log prob
+
+
+class Actors(NamedTuple):
+    """Robots in the middle of their episodes, axis (E) in front; each owns its random key."""
+
+    robot: RobotState
+    steps: jax.Array  # (E,) int32 steps since the episode began
+    proxy_sum: jax.Array  # (E, k) sum of δ over those steps
+    key: jax.Array  # (E,)
+
+
+def start(env: Environment, key: jax.Array) -> Actors:
+    """Begin one episode per key (E,)."""
+    key, reset_key = split_each(key)
+    robot = jax.vmap(env.reset)(reset_key)
+    return Actors(robot, jnp.zeros(key.shape, jnp.int32), jnp.zeros_like(robot.proxy), key)
+
+
+def split_each(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Split every robot's key (E,) in two, so that its noise does not depend on which device it lives on."""
+    pair = jax.vmap(jax.random.split)(key)
+    return pair[:, 0], pair[:, 1]
+
+
+def where_each(mask: jax.Array, yes, no):
+    """Per-robot choice by ``mask`` (E,) between two trees whose leaves have axis (E) in front."""
+    return jax.tree.map(lambda a, b: jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b), yes, no)
+
+
+def window(
+    env: Environment, act: Act, actors: Actors, length: int, episode_length: int
+) -> tuple[Actors, Transitions, Choice]:
+    """Drive every robot for ``length`` steps, starting a new random episode wherever one ends.
+
+    A fall is ``terminated``, the ``episode_length``-th step is ``truncated``. ``next_obs`` is the episode's own
+    last observation, not the reset one. Returns the robots as they are then and (length, E) transitions.
+    """
+    key, pool_key = split_each(actors.key)
+    pool_keys = jax.vmap(lambda k: jax.random.split(k, RESET_POOL))(pool_key)
+    pool = jax.vmap(jax.vmap(env.reset))(pool_keys)
+    actors = actors._replace(key=key)
+    resets = jnp.zeros(actors.steps.shape, jnp.int32)
+
+    def step(carry, _):
+        (robot, steps, proxy_sum, key), resets = carry
+        key, act_key = split_each(key)
+        raw_action, log_prob = act(act_key, robot.obs)
+        after, outcome = jax.vmap(env.step)(robot, raw_action)
+        steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
+        truncated = (steps >= episode_length) & ~outcome.terminated
+        ended = outcome.terminated | truncated
+        transition = Transitions(
+            robot.obs,
+            jnp.clip(raw_action, -1.0, 1.0),
+            after.obs,
+            robot.proxy,
+            outcome.reward,
+            outcome.terminated,
+            truncated,
+            proxy_sum / steps[:, None],
+        )
+        fresh = jax.tree.map(lambda leaf: jax.vmap(lambda slots, i: slots[i % RESET_POOL])(leaf, resets), pool)
+        actors = Actors(
+            where_each(ended, fresh, after), jnp.where(ended, 0, steps), jnp.where(ended[:, None], 0.0, proxy_sum), key
+        )
+        return (actors, resets + ended), (transition, Choice(raw_action, log_prob))
+
+    (actors, _), (transitions, choices) = jax.lax.scan(step, (actors, resets), None, length)
+    return actors, transitions, choices

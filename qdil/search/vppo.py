@@ -1,0 +1,294 @@
+"""VPPO: K copies of a policy trained side by side by PPO, each on its own weighting of the reward streams.
+
+The same function serves both of Algorithm 1's uses. Gradients (line 4): K = 1+k copies of θ_μ, copy i on stream i.
+Walk (line 17): the copies are *tied*, that is, they share one weighting and average their gradients, so
+they remain one policy trained on all environments. One compiled program, stable shapes.
+
+Departure from the authors' released program: its critics are one network per stream; here each copy has one critic
+with a head per stream (fitness, δ_1 … δ_k). Advantages are linear in the rewards, so the advantage of any weighting
+is the weighted sum over heads, and the walk's critic stays valid when xNES changes the weights.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+
+from qdil.robots.environment import Environment
+from qdil.search import networks
+from qdil.search.normalise import ReturnStats, init_return_stats, normalise_obs, update_obs_stats, update_return_stats
+from qdil.search.rollout import Act, Actors, split_each, window
+from qdil.sharding import AXIS
+from qdil.types import Choice, ObsStats, Params, Transitions
+
+COPIES = "copies"
+
+
+class Settings(NamedTuple):
+    """PPO's constants; see ``qdil.config`` for units and sources."""
+
+    window: int
+    episode_length: int
+    minibatches: int
+    gamma: float
+    lam: float
+    clip: float
+    value_coef: float
+    entropy_coef: float
+    max_grad_norm: float
+    learning_rate: float
+    target_kl: float
+
+
+class Learner(NamedTuple):
+    """Everything PPO adapts; with an axis (K) in front while copies train side by side."""
+
+    policy: Params
+    critic: Params
+    policy_opt: optax.OptState
+    critic_opt: optax.OptState
+    returns: ReturnStats
+
+
+class Batch(NamedTuple):
+    """What the loss reads, axes (K, T, E/K)."""
+
+    obs: jax.Array  # normalised (…, O)
+    choice: Choice
+    advantage: jax.Array  # (…) of the copy's own weighting, not yet normalised
+    target: jax.Array  # (…, 1+k) normalised returns
+    value: jax.Array  # (…, 1+k) what the critic said when the window was collected, normalised
+
+
+def optimiser(settings: Settings) -> optax.GradientTransformation:
+    """Adam after clipping the gradient's norm; policy and critic each have one."""
+    return optax.chain(optax.clip_by_global_norm(settings.max_grad_norm), optax.adam(settings.learning_rate, eps=1e-5))
+
+
+def init_learner(settings: Settings, policy: Params, critic: Params, streams: int) -> Learner:
+    """A learner around a policy and a critic with ``streams`` = 1+k heads."""
+    opt = optimiser(settings)
+    return Learner(policy, critic, opt.init(policy), opt.init(critic), init_return_stats(streams))
+
+
+def fork(learner: Learner, copies: int) -> Learner:
+    """K identical copies, axis (K) in front of every leaf."""
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (copies, *jnp.shape(leaf))), learner)
+
+
+def to_copies(x: jax.Array, copies: int, axis: int = 0) -> jax.Array:
+    """Deal the environment axis out to the copies: (…, E, …) -> (K, …, E/K, …), environment e to copy e mod K."""
+    shape = x.shape
+    x = x.reshape(*shape[:axis], shape[axis] // copies, copies, *shape[axis + 1 :])
+    return jnp.moveaxis(x, axis + 1, 0)
+
+
+def from_copies(x: jax.Array, axis: int = 0) -> jax.Array:
+    """Undo ``to_copies``."""
+    x = jnp.moveaxis(x, 0, axis + 1)
+    return x.reshape(*x.shape[:axis], -1, *x.shape[axis + 2 :])
+
+
+def act_with_copies(policy: Params, stats: ObsStats, copies: int) -> Act:
+    """Sample actions for E environments from K policies, each driving its own share."""
+
+    def act_one(params: Params, key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        mean = networks.policy_mean(params, stats, obs)
+        noise = jax.vmap(lambda k: jax.random.normal(k, mean.shape[-1:]))(key)
+        raw = mean + noise * jnp.exp(params["log_std"])
+        return raw, networks.log_prob(params, mean, raw)
+
+    def act(key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        raw, logp = jax.vmap(act_one)(policy, to_copies(key, copies), to_copies(obs, copies))
+        return from_copies(raw), from_copies(logp)
+
+    return act
+
+
+def gae(
+    rewards: jax.Array,
+    values: jax.Array,
+    next_values: jax.Array,
+    terminated: jax.Array,
+    truncated: jax.Array,
+    gamma: float,
+    lam: float,
+) -> jax.Array:
+    """Generalised advantage estimates, axis (T) in front; ``next_values`` are of the true next observation.
+
+    A fall (terminated) has no future; a time limit (truncated) bootstraps from the value of its last state.
+    Neither lets the following episode's advantages through.
+    """
+    deltas = rewards + gamma * next_values * (1.0 - terminated) - values
+    carries_on = (1.0 - terminated) * (1.0 - truncated)
+
+    def backwards(advantage, now):
+        delta, carries_on = now
+        advantage = delta + gamma * lam * carries_on * advantage
+        return advantage, advantage
+
+    return jax.lax.scan(backwards, jnp.zeros_like(deltas[0]), (deltas, carries_on), reverse=True)[1]
+
+
+def loss(
+    policy: Params, critic: Params, batch: Batch, settings: Settings
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    """PPO's clipped surrogate and clipped value loss of one copy; ``batch.advantage`` is normalised already."""
+    mean = networks.mlp(policy["mean"], batch.obs)
+    log_ratio = networks.log_prob(policy, mean, batch.choice.raw_action) - batch.choice.log_prob
+    ratio = jnp.exp(log_ratio)
+    clipped = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
+    surrogate = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
+    value = networks.mlp(critic, batch.obs)
+    near = batch.value + jnp.clip(value - batch.value, -settings.clip, settings.clip)
+    errors = jnp.maximum(jnp.square(value - batch.target), jnp.square(near - batch.target))
+    value_loss = 0.5 * jnp.mean(errors)
+    total = -jnp.mean(surrogate) + settings.value_coef * value_loss - settings.entropy_coef * networks.entropy(policy)
+    approx_kl = jnp.mean(ratio - 1.0 - log_ratio)  # Schulman's low-variance estimator
+    return total, (approx_kl, value_loss)
+
+
+def _across(x: jax.Array, tied: jax.Array) -> jax.Array:
+    """Mean over the devices, and over the copies too where they are tied. Inside ``vmap(axis_name=COPIES)``."""
+    x = jax.lax.pmean(x, AXIS)
+    return jnp.where(tied, jax.lax.pmean(x, COPIES), x)
+
+
+def _prepare(
+    learner: Learner,
+    transitions: Transitions,
+    choice: Choice,
+    rewards: jax.Array,
+    weights: jax.Array,
+    tied: jax.Array,
+    stats: ObsStats,
+    settings: Settings,
+) -> tuple[Learner, Batch]:
+    """Advantages and return targets of one copy's window; moves its return statistics."""
+    obs = normalise_obs(stats, transitions.obs)
+    before = learner.returns
+    values = networks.mlp(learner.critic, obs) * before.std + before.mean
+    next_values = networks.mlp(learner.critic, normalise_obs(stats, transitions.next_obs)) * before.std + before.mean
+    ends = transitions.terminated[..., None].astype(jnp.float32), transitions.truncated[..., None].astype(jnp.float32)
+    advantages = gae(rewards, values, next_values, *ends, settings.gamma, settings.lam)
+    returns = advantages + values
+    mean = _across(jnp.mean(returns, axis=(0, 1)), tied)
+    square = _across(jnp.mean(jnp.square(returns), axis=(0, 1)), tied)
+    after = update_return_stats(before, mean, square)
+    target, value = (returns - after.mean) / after.std, (values - after.mean) / after.std
+    return learner._replace(returns=after), Batch(obs, choice, advantages @ weights, target, value)
+
+
+def _minibatch_step(
+    learner: Learner, active: jax.Array, batch: Batch, tied: jax.Array, settings: Settings
+) -> tuple[Learner, jax.Array]:
+    """One gradient step of one copy (nothing moves where it is not ``active``); returns its KL too."""
+    grads, (approx_kl, _) = jax.grad(loss, argnums=(0, 1), has_aux=True)(
+        learner.policy, learner.critic, batch, settings
+    )
+    together, separate = ravel_pytree((grads, approx_kl))  # one vector, so that one message crosses the devices
+    grads, approx_kl = separate(_across(together, tied))
+    opt = optimiser(settings)
+    policy_step, policy_opt = opt.update(grads[0], learner.policy_opt)
+    critic_step, critic_opt = opt.update(grads[1], learner.critic_opt)
+    moved = Learner(
+        optax.apply_updates(learner.policy, policy_step),
+        optax.apply_updates(learner.critic, critic_step),
+        policy_opt,
+        critic_opt,
+        learner.returns,
+    )
+    return jax.tree.map(lambda new, old: jnp.where(active, new, old), moved, learner), approx_kl
+
+
+def _normalised(advantage: jax.Array, tied: jax.Array) -> jax.Array:
+    """Advantages (M, T/M, E/K) of one copy, to zero mean and unit deviation within each minibatch."""
+    moments = jnp.stack([jnp.mean(advantage, axis=(1, 2)), jnp.mean(jnp.square(advantage), axis=(1, 2))])
+    mean, square = _across(moments, tied)[:, :, None, None]
+    return (advantage - mean) * jax.lax.rsqrt(jnp.maximum(square - jnp.square(mean), 0.0) + 1e-8)
+
+
+def _shuffled(batch: Batch, order: jax.Array, minibatches: int) -> Batch:
+    """Cut (K, T, E) data into minibatches (M, K, T/M, E), each robot's steps in its own random ``order`` (K, T, E)."""
+
+    def cut(x: jax.Array) -> jax.Array:
+        index = order.reshape(order.shape + (1,) * (x.ndim - 3))
+        x = jnp.take_along_axis(x, index, axis=1)
+        return jnp.moveaxis(x.reshape(x.shape[0], minibatches, -1, *x.shape[2:]), 1, 0)
+
+    return jax.tree.map(cut, batch)
+
+
+def _learn(
+    learner: Learner, batch: Batch, key: jax.Array, tied: jax.Array, epochs: jax.Array, settings: Settings
+) -> tuple[Learner, jax.Array]:
+    """Up to ``epochs`` passes over the window; a copy whose mean KL passes the target stops there."""
+    copies, length = batch.advantage.shape[:2]
+    step = jax.vmap(lambda le, ac, ba: _minibatch_step(le, ac, ba, tied, settings), axis_name=COPIES)
+
+    def epoch(carry):
+        i, learner, active, _, key = carry
+        key, order_key = split_each(key)
+        order = jax.vmap(lambda k: jax.random.permutation(k, length))(order_key)  # (E, T)
+        parts = _shuffled(batch, to_copies(order.T, copies, axis=1), settings.minibatches)
+        normalised = jax.vmap(lambda a: _normalised(a, tied), in_axes=1, out_axes=1, axis_name=COPIES)
+        parts = parts._replace(advantage=normalised(parts.advantage))
+        learner, kl = jax.lax.scan(lambda le, part: step(le, active, part), learner, parts)
+        kl = jnp.mean(kl, axis=0)
+        return i + 1, learner, active & (kl <= settings.target_kl), kl, key
+
+    def go_on(carry):
+        i, _, active, _, _ = carry
+        return (i < epochs) & jnp.any(active)
+
+    begin = (jnp.zeros((), jnp.int32), learner, jnp.ones(copies, bool), jnp.zeros(copies), key)
+    _, learner, _, kl, _ = jax.lax.while_loop(go_on, epoch, begin)
+    return learner, kl
+
+
+RewardStreams = Callable[[Transitions], jax.Array]  # (T, E) transitions -> (T, E, 1+k) rewards
+
+
+def update(
+    env: Environment,
+    settings: Settings,
+    rewards: Callable[..., tuple[object, jax.Array]],
+    learner: Learner,
+    stats: ObsStats,
+    actors: Actors,
+    reward_carry: object,
+    weights: jax.Array,
+    tied: jax.Array,
+    epochs: jax.Array,
+) -> tuple[Learner, ObsStats, Actors, object, Transitions, dict[str, jax.Array]]:
+    """One VPPO update of K copies: collect a window, estimate advantages, learn. Runs inside ``shard_map``.
+
+    ``rewards(carry, stats, transitions) -> (carry, (T, E))`` is the fitness reward; the streams are it and δ.
+    ``weights`` (K, 1+k) is the weighting each copy maximises; with ``tied`` its rows must be equal.
+    """
+    copies = weights.shape[0]
+    actors, transitions, choice = window(
+        env, act_with_copies(learner.policy, stats, copies), actors, settings.window, settings.episode_length
+    )
+    reward_carry, fitness = rewards(reward_carry, stats, transitions)
+    streams = jnp.concatenate([fitness[..., None], transitions.proxy], axis=-1)
+    mine = jax.tree.map(lambda x: to_copies(x, copies, axis=1), (transitions, choice, streams))
+    learner, batch = jax.vmap(
+        lambda le, tr, ch, st, we: _prepare(le, tr, ch, st, we, tied, stats, settings), axis_name=COPIES
+    )(learner, *mine, weights)
+    key, learn_key = split_each(actors.key)
+    learner, kl = _learn(learner, batch, learn_key, tied, epochs, settings)
+    stats = update_obs_stats(stats, transitions.obs)
+    ended = transitions.ended
+    info = {
+        "approx_kl": jnp.mean(kl),
+        "fitness_reward": jax.lax.pmean(jnp.mean(fitness), AXIS),
+        "true_reward": jax.lax.pmean(jnp.mean(transitions.reward), AXIS),
+        "episode_length": transitions.reward.size / jnp.maximum(jnp.sum(ended), 1),
+        "proxy": jax.lax.pmean(jnp.mean(transitions.proxy, axis=(0, 1)), AXIS),
+        "action_std": jnp.mean(jnp.exp(learner.policy["log_std"])),
+    }
+    return learner, stats, actors._replace(key=key), reward_carry, transitions, info

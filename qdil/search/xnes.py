@@ -1,0 +1,83 @@
+"""xNES (Glasmachers et al., 2010) over gradient coefficients, as one more of pyribs' evolution strategies."""
+
+from typing import Any
+
+import numpy as np
+from ribs.emitters.opt import EvolutionStrategyBase
+from scipy.linalg import expm
+
+
+def utilities(values: np.ndarray) -> np.ndarray:
+    """Rank-based weights (n,) that sum to zero, best largest, for ``values`` (n,) or (n, criteria).
+
+    u_i ∝ max(0, log(n/2+1) − log i) − 1/n for rank i = 1 … n (section 3.1 of the xNES paper). Rows of ``values``
+    that are equal share the mean of their ranks' weights, so solutions that improved nothing pull nowhere.
+    """
+    values = np.atleast_2d(np.asarray(values, float).T).T
+    n = len(values)
+    raw = np.maximum(0.0, np.log(n / 2 + 1) - np.log(np.arange(1, n + 1)))
+    by_rank = raw / raw.sum() - 1.0 / n
+    _, group = np.unique(values, axis=0, return_inverse=True)  # groups in ascending lexicographic order
+    group = group.reshape(-1)
+    order = np.argsort(-group, kind="stable")
+    weights = np.empty(n)
+    weights[order] = by_rank
+    return (np.bincount(group, weights) / np.bincount(group))[group]
+
+
+class XNES(EvolutionStrategyBase):
+    """Exponential natural evolution strategy: samples c = μ + σ·B·z, z ~ N(0, I), and follows the natural gradient.
+
+    All samples count, weighted by ``utilities``; ``num_parents`` is ignored. Learning rates are the paper's: 1 for
+    the mean, (9 + 3 log d) / (5 d √d) for σ and B. Its state is ``mean`` (d,), ``sigma`` and ``shape`` B (d, d) with
+    determinant 1. Unbounded: bounds other than infinite are refused with ValueError.
+    """
+
+    def __init__(
+        self,
+        sigma0: float,
+        solution_dim: int,
+        batch_size: int | None = None,
+        seed: int | None = None,
+        dtype: Any = np.float64,
+        lower_bounds: float | np.ndarray = -np.inf,
+        upper_bounds: float | np.ndarray = np.inf,
+    ) -> None:
+        if np.any(np.isfinite(lower_bounds)) or np.any(np.isfinite(upper_bounds)):
+            raise ValueError("xNES searches an unbounded space: leave lower_bounds and upper_bounds infinite.")
+        self.sigma0, self.dim, self.dtype = float(sigma0), int(solution_dim), dtype
+        self.batch_size = int(batch_size or 4 + 3 * np.log(solution_dim))
+        self.rate = (9 + 3 * np.log(self.dim)) / (5 * self.dim * np.sqrt(self.dim))
+        self.rng = np.random.default_rng(seed)
+        self.reset(np.zeros(self.dim))
+
+    def reset(self, x0: np.ndarray) -> None:
+        """Start over at mean ``x0`` (d,) with Σ = σ0² I; the random stream goes on, so samples differ."""
+        self.mean = np.array(x0, float)
+        self.sigma = self.sigma0
+        self.shape = np.eye(self.dim)
+        self._z = np.zeros((0, self.dim))
+
+    def check_stop(self, ranking_values: np.ndarray) -> bool:
+        """True when the distribution has collapsed or blown up beyond use."""
+        scales = self.sigma * np.linalg.svd(self.shape, compute_uv=False)
+        return not np.all(np.isfinite(scales)) or scales.max() < 1e-8 or scales.max() > 1e8
+
+    def ask(self, batch_size: int | None = None) -> np.ndarray:
+        """Sample (batch_size, d) coefficient vectors."""
+        self._z = self.rng.standard_normal((batch_size or self.batch_size, self.dim))
+        return (self.mean + self.sigma * self._z @ self.shape.T).astype(self.dtype)
+
+    def tell(self, ranking_indices: np.ndarray, ranking_values: np.ndarray, num_parents: int = 0) -> None:
+        """Adapt to the ``ranking_values`` (n,) or (n, criteria) of the last samples, larger is better.
+
+        ``ranking_indices`` is pyribs' argsort; the ranking is read from the values, which also show ties.
+        """
+        u = utilities(ranking_values)
+        z = self._z
+        toward = u @ z  # natural gradient in the mean, G_δ
+        spread = (u[:, None] * z).T @ z - u.sum() * np.eye(self.dim)  # natural gradient in the covariance, G_M
+        growth = np.trace(spread) / self.dim
+        self.mean = self.mean + self.sigma * self.shape @ toward
+        self.shape = self.shape @ expm(0.5 * self.rate * (spread - growth * np.eye(self.dim)))
+        self.sigma *= np.exp(0.5 * self.rate * growth)
