@@ -1,4 +1,4 @@
-"""The command line: thin over the library; exit code 0 done, 1 failed or interrupted, 2 a request that cannot be met."""
+"""The command line, thin over the library; exit code 0 done, 1 failed or interrupted, 2 a request it cannot meet."""
 
 import argparse
 import os

@@ -130,10 +130,11 @@ def compile_run(config: Config) -> Compiled:
         return _jump(state, networks.unflatten(theta, like), obs_mean, obs_std, settings)
 
     everywhere, split = replicated(mesh), by_environment(mesh)
-    state_specs = State(P(), P(), P(), P(AXIS), P(), P(AXIS))
-    state_layout = State(everywhere, everywhere, everywhere, split, everywhere, split)
-    trained_specs = Trained(state_specs, P(), P(None, AXIS), P())
-    shard = {"mesh": mesh, "check_vma": False}
+    state_specs: Any = _state_of(P(), P(AXIS))
+    state_layout: Any = _state_of(everywhere, split)
+    each: Any = P()  # specs stand where arrays will be
+    trained_specs = Trained(state_specs, each, P(None, AXIS), each)  # type: ignore[arg-type]
+    shard: dict[str, Any] = {"mesh": mesh, "check_vma": False}
     return Compiled(
         env,
         like,
@@ -153,6 +154,11 @@ def compile_run(config: Config) -> Compiled:
 
 def _policy(key: jax.Array, config: Config, env: Environment) -> Params:
     return networks.init_policy(key, env.obs_size, env.action_size, config.actor_hidden, config.initial_std)
+
+
+def _state_of(whole: Any, split: Any) -> Any:
+    """How each part of ``State`` lies on the devices: robots and what goes with them split, the rest whole."""
+    return State(key=whole, learner=whole, stats=whole, actors=split, reward=whole, reward_carry=split)
 
 
 def policy_like(config: Config, env: Environment) -> Params:
@@ -185,5 +191,5 @@ def _jump(state: State, policy: Params, obs_mean, obs_std, settings: vppo.Settin
     learner = state.learner._replace(
         policy=policy, policy_opt=opt.init(policy), critic_opt=opt.init(state.learner.critic)
     )
-    stats = ObsStats(obs_mean, obs_std, jnp.square(obs_std) * state.stats.count, state.stats.count)
+    stats = ObsStats(obs_mean, obs_std, jnp.square(obs_std) * state.stats.seen, state.stats.seen)
     return state._replace(learner=learner, stats=stats)

@@ -1,4 +1,4 @@
-"""Every setting of a run: one frozen dataclass, three budgets, method names, and what is refused before anything compiles."""
+"""Every setting of a run: a frozen dataclass, three budgets, method names, and refusals before anything compiles."""
 
 import dataclasses
 import inspect
@@ -237,7 +237,10 @@ def to_json(config: Config) -> dict[str, Any]:
 
 def from_json(content: dict[str, Any]) -> Config:
     """Undo ``to_json`` and check."""
-    config = Config(**{name: tuple(value) if isinstance(value, list) else value for name, value in content.items()})
+    values: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in content.items()
+    }
+    config = Config(**values)
     check(config)
     return config
 

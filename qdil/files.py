@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 
 
-def replace_file(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write ``path`` through a temporary neighbour that takes its name only once it is whole."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -35,7 +35,7 @@ def write_npz(path: Path, **arrays: np.ndarray) -> None:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Indented JSON, keys in the order given."""
-    replace_file(path, lambda file: file.write((json.dumps(content, indent=2) + "\n").encode()) and None)
+    replace_file(path, lambda file: file.write((json.dumps(content, indent=2) + "\n").encode()))
 
 
 def write_csv(path: Path, columns: list[str], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -50,7 +50,7 @@ def write_csv(path: Path, columns: list[str], rows: Iterable[Mapping[str, Any]])
     writer = csv.DictWriter(_Lines(), columns, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    replace_file(path, lambda file: file.write("".join(lines).encode()) and None)
+    replace_file(path, lambda file: file.write("".join(lines).encode()))
 
 
 def sha256(path: Path) -> str:

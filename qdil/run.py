@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from qdil import ppga
-from qdil.config import Config, ConfigError, make_config, parse_method, to_json
+from qdil.config import Config, ConfigError, from_json, make_config, parse_method, to_json
 from qdil.files import sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
 from qdil.search import archive
@@ -79,8 +79,9 @@ def _iterations(search: ppga.Search, folder: Path, report: Report | None) -> tup
     """Warm-up and all QD iterations, with ``metrics.csv`` kept up to date."""
     config, begin = search.config, time.monotonic()
     cells = int(search.archives.result.cells)
-    search, env_steps = ppga.warm_up(search, config.warmup_updates)
-    restarts, written, rows = 0.0, 0.0, []
+    search, warm_up_steps = ppga.warm_up(search, config.warmup_updates)
+    env_steps, restarts, written = float(warm_up_steps), 0.0, 0.0
+    rows: list[dict[str, float]] = []
     for number in range(1, config.iterations + 1):
         search, info = ppga.iteration(search)
         env_steps, restarts = env_steps + info.pop("steps"), restarts + info.pop("restarts")
@@ -170,8 +171,7 @@ def make_demos(
     """
     expert = expert or folder_of(make_config(env, "true", budget, seed))
     elites = read_archive(expert, policies=True)
-    settings = read_config(expert)
-    config = Config(**{n: tuple(v) if isinstance(v, list) else v for n, v in settings.items()})
+    config = from_json(read_config(expert))
     if config.env != env:
         raise ConfigError(f"{expert} is a run of {config.env}, not of {env}.")
     try:

@@ -36,7 +36,7 @@ class ObsStats(NamedTuple):
     mean: jax.Array  # (O,)
     std: jax.Array  # (O,)
     summed_variance: jax.Array  # (O,)
-    count: jax.Array  # ()
+    seen: jax.Array  # () observations so far
 
 
 class RewardContext(NamedTuple):

@@ -22,7 +22,7 @@ def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
 
 
 def farthest_points(measures: np.ndarray, count: int) -> np.ndarray:
-    """Rows of ``count`` diverse points among ``measures`` (N, k): the first, then always the one farthest from all chosen.
+    """Rows of ``count`` diverse ``measures`` (N, k): the first, then always the one farthest from all chosen.
 
     Raises ValueError if there are fewer points than asked for.
     """
@@ -49,7 +49,7 @@ def record(
     episode_length: int,
     sample_actions: bool,
 ) -> dict[str, np.ndarray]:
-    """One whole episode of each elite, steps in rows: (s_t, a_t, s_{t+1}, δ(s_t), …), state and action of the same step.
+    """One whole episode of each elite, a row per step: (s_t, a_t, s_{t+1}, δ(s_t), …), all of the same step t.
 
     ``elites`` has ``solution`` (n, P), ``obs_mean`` and ``obs_std`` (n, O). Also returns, per episode,
     ``episode_return`` and ``episode_measures``; ``episode`` (N,) says which episode a row belongs to.

@@ -1,6 +1,6 @@
-"""The two archives of a run, both pyribs grids over the unit measure square: one guides the search, one is the result."""
+"""A run's two archives, pyribs grids over the unit measure square: one guides the search, one is the result."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from ribs.archives import GridArchive
@@ -34,9 +34,9 @@ def make(cells: int, k: int, theta_size: int, obs_size: int, learning_rate: floa
     The soft archive follows Algorithm 2's threshold rule (pyribs' batch form of it); only its thresholds are
     used, so the policies themselves are kept once, in the result archive.
     """
-    grid = {"dims": [cells] * k, "ranges": [(0.0, 1.0)] * k, "dtype": np.float32}
+    grid: dict[str, Any] = {"dims": [cells] * k, "ranges": [(0.0, 1.0)] * k, "dtype": np.float32}
     soft = GridArchive(solution_dim=1, learning_rate=learning_rate, threshold_min=threshold_min, **grid)
-    extra = {
+    extra: dict[str, Any] = {
         "true_return": ((), np.float32),
         "length": ((), np.float32),
         "obs_mean": ((obs_size,), np.float32),

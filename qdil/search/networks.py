@@ -1,6 +1,7 @@
 """The Gaussian policy, the critic and the small perceptron both are made of; and policies as flat vectors."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +16,12 @@ LOG_2PI = 1.8378770664093453
 def init_mlp(key: jax.Array, sizes: Sequence[int], last_scale: float = 1.0) -> Params:
     """Weights of a tanh perceptron ``sizes[0] -> … -> sizes[-1]``: orthogonal, gain √2 (last layer ``last_scale``)."""
     layers = []
-    for i, (key, fan_in, fan_out) in enumerate(zip(jax.random.split(key, len(sizes) - 1), sizes, sizes[1:])):
+    layer_keys = jax.random.split(key, len(sizes) - 1)
+    for i, (fan_in, fan_out) in enumerate(pairwise(sizes)):
         gain = last_scale if i == len(sizes) - 2 else 2.0**0.5
-        layers.append({"w": jax.nn.initializers.orthogonal(gain)(key, (fan_in, fan_out)), "b": jnp.zeros(fan_out)})
+        layers.append(
+            {"w": jax.nn.initializers.orthogonal(gain)(layer_keys[i], (fan_in, fan_out)), "b": jnp.zeros(fan_out)}
+        )
     return layers
 
 

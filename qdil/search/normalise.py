@@ -25,9 +25,9 @@ def update_obs_stats(stats: ObsStats, obs: jax.Array, axis: str | None = AXIS) -
     if axis is not None:
         mean, square, size = jax.lax.pmean(mean, axis), jax.lax.pmean(square, axis), jax.lax.psum(size, axis)
     variance = jnp.maximum(square - jnp.square(mean), 0.0)
-    count = stats.count + size
+    count = stats.seen + size
     delta = mean - stats.mean
-    summed = stats.summed_variance + variance * size + jnp.square(delta) * stats.count * size / count
+    summed = stats.summed_variance + variance * size + jnp.square(delta) * stats.seen * size / count
     std = jnp.clip(jnp.sqrt(summed / count), 1e-4, 1e6)
     return ObsStats(stats.mean + delta * size / count, std, summed, count)
 

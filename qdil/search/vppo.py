@@ -227,7 +227,11 @@ def _learn(
 ) -> tuple[Learner, jax.Array]:
     """Up to ``epochs`` passes over the window; a copy whose mean KL passes the target stops there."""
     copies, length = batch.advantage.shape[:2]
-    step = jax.vmap(lambda le, ac, ba: _minibatch_step(le, ac, ba, tied, settings), axis_name=COPIES)
+
+    def one_step(learner: Learner, active: jax.Array, batch: Batch) -> tuple[Learner, jax.Array]:
+        return _minibatch_step(learner, active, batch, tied, settings)
+
+    step = jax.vmap(one_step, axis_name=COPIES)
 
     def epoch(carry):
         i, learner, active, _, key = carry
@@ -276,9 +280,11 @@ def update(
     reward_carry, fitness = rewards(reward_carry, stats, transitions)
     streams = jnp.concatenate([fitness[..., None], transitions.proxy], axis=-1)
     mine = jax.tree.map(lambda x: to_copies(x, copies, axis=1), (transitions, choice, streams))
-    learner, batch = jax.vmap(
-        lambda le, tr, ch, st, we: _prepare(le, tr, ch, st, we, tied, stats, settings), axis_name=COPIES
-    )(learner, *mine, weights)
+
+    def prepare(learner: Learner, mine: tuple[Transitions, Choice, jax.Array], weights: jax.Array):
+        return _prepare(learner, *mine, weights, tied, stats, settings)
+
+    learner, batch = jax.vmap(prepare, axis_name=COPIES)(learner, mine, weights)
     key, learn_key = split_each(actors.key)
     learner, kl = _learn(learner, batch, learn_key, tied, epochs, settings)
     stats = update_obs_stats(stats, transitions.obs)

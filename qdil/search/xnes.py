@@ -38,7 +38,7 @@ class XNES(EvolutionStrategyBase):
         sigma0: float,
         solution_dim: int,
         batch_size: int | None = None,
-        seed: int | None = None,
+        seed: Any = None,
         dtype: Any = np.float64,
         lower_bounds: float | np.ndarray = -np.inf,
         upper_bounds: float | np.ndarray = np.inf,
@@ -63,12 +63,12 @@ class XNES(EvolutionStrategyBase):
         scales = self.sigma * np.linalg.svd(self.shape, compute_uv=False)
         return not np.all(np.isfinite(scales)) or scales.max() < 1e-8 or scales.max() > 1e8
 
-    def ask(self, batch_size: int | None = None) -> np.ndarray:
+    def ask(self, batch_size: Any = None) -> np.ndarray:
         """Sample (batch_size, d) coefficient vectors."""
         self._z = self.rng.standard_normal((batch_size or self.batch_size, self.dim))
         return (self.mean + self.sigma * self._z @ self.shape.T).astype(self.dtype)
 
-    def tell(self, ranking_indices: np.ndarray, ranking_values: np.ndarray, num_parents: int = 0) -> None:
+    def tell(self, ranking_indices: np.ndarray, ranking_values: np.ndarray, num_parents: Any = 0) -> None:
         """Adapt to the ``ranking_values`` (n,) or (n, criteria) of the last samples, larger is better.
 
         ``ranking_indices`` is pyribs' argsort; the ranking is read from the values, which also show ties.
