@@ -48,6 +48,14 @@ def _parser() -> argparse.ArgumentParser:
     demos.add_argument("--expert", type=Path, help="the expert's run folder (default: that of --budget and --seed)")
     demos.add_argument("--out", type=Path, metavar="FILE", help="default: results/BUDGET/ENV/demos-N.npz")
 
+    figures = commands.add_parser(
+        "figures",
+        help="draw the finished runs of a robot",
+        description="Write learning curves and archives of finished runs to results/figures as PNG.",
+    )
+    figures.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    _budget_and_seed(figures)
+
     notebooks = commands.add_parser(
         "notebooks", help="execute the notebooks headlessly", description="Execute notebooks with papermill."
     )
@@ -88,6 +96,14 @@ def _demos(args: argparse.Namespace) -> int:
     return 0
 
 
+def _figures(args: argparse.Namespace) -> int:
+    from qdil.figures import write_figures
+
+    for path in write_figures(args.env, args.budget, args.seed):
+        print(f"Wrote {path}.")
+    return 0
+
+
 def _notebooks(args: argparse.Namespace) -> int:
     from qdil import notebooks
 
@@ -103,7 +119,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     args = _parser().parse_args(argv)
     try:
-        return {"train": _train, "demos": _demos, "notebooks": _notebooks}[args.command](args)
+        return {"train": _train, "demos": _demos, "figures": _figures, "notebooks": _notebooks}[args.command](args)
     except ConfigError as error:
         print(f"qdil: {error}", file=sys.stderr)
         return 2

@@ -83,18 +83,21 @@ class Config:
 
 
 LAPTOP: dict[str, Any] = {
-    "iterations": 150,
-    "warmup_updates": 300,
+    "iterations": 160,
+    "warmup_updates": 250,
     "gradient_updates": 5,
     "walk_updates": 5,
-    "candidates": 48,
-    "episodes": 4,
+    "candidates": 64,
+    "episodes": 3,
     "cells": 20,
+    "sample_actions": False,
     "actor_hidden": (64, 64),
     "critic_hidden": (64, 64),
     "num_envs": 192,
     "window": 64,
     "episode_length": 300,
+    "gamma": 0.995,
+    "target_kl": 0.02,
     "threshold_min": 0.0,
     "reward_steps": 20,
 }
@@ -113,6 +116,7 @@ SMOKE: dict[str, Any] = {
     "num_envs": 24,
     "window": 16,
     "episode_length": 50,
+    "gamma": 0.99,
     "minibatches": 2,
     "epochs": 2,
     "demo_episodes": 1,

@@ -3,9 +3,8 @@
 import jax
 import jax.numpy as jnp
 
+from qdil.search.archive import EDGE
 from qdil.types import Transitions
-
-EDGE = 1e-6  # pyribs' tolerance when it assigns measures to cells
 
 
 def is_empty(occupied: jax.Array, measures: jax.Array) -> jax.Array:

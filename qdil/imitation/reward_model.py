@@ -1,5 +1,6 @@
 """What a reward model is: a value of four pure functions; and the inputs it may see, with their transformations."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -82,6 +83,6 @@ def true_reward() -> RewardModel:
 
 def rows(key: jax.Array, inputs: Inputs, size: int) -> Inputs:
     """``size`` rows drawn evenly with replacement from inputs whose leading axes are flattened first."""
-    flat = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), inputs)
+    flat = jax.tree.map(lambda x: x.reshape(math.prod(x.shape[:-1]), x.shape[-1]), inputs)
     index = jax.random.randint(key, (size,), 0, flat.obs.shape[0])
     return jax.tree.map(lambda x: jnp.take(x, index, axis=0), flat)

@@ -5,6 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from ribs.archives import GridArchive
 
+# A measure this close below a grid line (in cells) counts as on it: wide enough for float32, on the host as on devices,
+# so that shares like 39/50 fall into the same cell everywhere (pyribs' own 1e-6 is too narrow for that).
+EDGE = 1e-4
 EXTRA = ("true_return", "length", "obs_mean", "obs_std")  # what a result elite carries beyond pyribs' own fields
 
 
@@ -34,7 +37,7 @@ def make(cells: int, k: int, theta_size: int, obs_size: int, learning_rate: floa
     The soft archive follows Algorithm 2's threshold rule (pyribs' batch form of it); only its thresholds are
     used, so the policies themselves are kept once, in the result archive.
     """
-    grid: dict[str, Any] = {"dims": [cells] * k, "ranges": [(0.0, 1.0)] * k, "dtype": np.float32}
+    grid: dict[str, Any] = {"dims": [cells] * k, "ranges": [(0.0, 1.0)] * k, "dtype": np.float32, "epsilon": EDGE}
     soft = GridArchive(solution_dim=1, learning_rate=learning_rate, threshold_min=threshold_min, **grid)
     extra: dict[str, Any] = {
         "true_return": ((), np.float32),

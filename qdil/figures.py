@@ -1,0 +1,38 @@
+"""Figures of finished runs, computed from their folders and written as PNG under ``results/figures``."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from qdil import plotting, run
+from qdil.config import BASES, PREFIXES, ConfigError, make_config
+from qdil.files import replace_file
+
+
+def finished_runs(env: str, budget: str, seed: int, root: Path) -> dict[str, Path]:
+    """Folders of the finished runs of one robot, budget and seed, by method."""
+    names = [prefix + base for base in BASES for prefix in PREFIXES]
+    folders = {name: root / budget / env / name / f"seed-{seed}" for name in names}
+    return {name: folder for name, folder in folders.items() if run.is_finished(folder)}
+
+
+def write_figures(env: str, budget: str, seed: int, root: Path = run.RESULTS) -> list[Path]:
+    """Learning curves by iteration, by steps and by time, and all archives on one scale; returns the files written.
+
+    Raises ConfigError where there is no finished run to draw.
+    """
+    make_config(env, "true", budget, seed)
+    folders = finished_runs(env, budget, seed, root)
+    if not folders:
+        raise ConfigError(f"no finished runs of {env} at budget {budget} with seed {seed} in {root}.")
+    metrics = {method: pd.read_csv(folder / "metrics.csv") for method, folder in folders.items()}
+    archives = {method: run.read_archive(folder) for method, folder in folders.items()}
+    figures = {f"curves-{x}": plotting.learning_curves(metrics, x) for x in plotting.X_LABELS}
+    figures["archives"] = plotting.archives_side_by_side(archives, robot=env)
+    written = []
+    for name, figure in figures.items():
+        path = root / "figures" / f"{budget}-{env}-{name}.png"
+        content = plotting.to_png(figure)
+        replace_file(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
+        written.append(path)
+    return written
