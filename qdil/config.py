@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import math
 import re
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, get_args
@@ -11,6 +12,9 @@ ROBOTS = ("halfcheetah", "walker2d", "humanoid")
 BACKENDS = ("spring", "positional", "generalized", "mjx")
 BASES = ("true", "gail")
 PREFIXES = {"": (False, False), "mcond-": (True, False), "mbo-": (False, True), "mconbo-": (True, True)}
+
+
+IDENTITY = ("env", "method", "budget", "seed")  # what names a run; these have options of their own, not --set
 
 
 class ConfigError(ValueError):
@@ -174,6 +178,8 @@ def parse_settings(pairs: list[str]) -> dict[str, Any]:
         name, equals, text = pair.partition("=")
         if not equals or name not in types:
             raise ConfigError(f"'--set {pair}': expected NAME=VALUE with one of the names {', '.join(types)}.")
+        if name in IDENTITY:
+            raise ConfigError(f"'--set {pair}': use --{name} instead.")
         try:
             settings[name] = _typed(types[name], text)
         except ValueError:
@@ -210,6 +216,9 @@ NOT_NEGATIVE = (
 def check(config: Config) -> None:
     """Raise ConfigError, in one sentence that names the setting, for values that cannot work."""
     parse_method(config.method)
+    for field in fields(config):
+        if field.type is float:
+            _require(math.isfinite(getattr(config, field.name)), config, field.name, "must be a finite number")
     for name in AT_LEAST_ONE:
         _require(getattr(config, name) >= 1, config, name, "must be at least 1")
     for name in POSITIVE:
@@ -254,6 +263,6 @@ def settings_help() -> str:
     lines = ["settings for --set (defaults of the 'full' budget; 'smoke' and 'laptop' change some):"]
     for line in inspect.getsource(Config).splitlines():
         match = re.match(r"    (\w+): .* = (.*?)  # (.*)", line)
-        if match and match[1] not in ("env", "method", "budget", "seed"):
+        if match and match[1] not in IDENTITY:
             lines.append(f"  {match[1]}={match[2]}: {match[3]}")
     return "\n".join(lines)

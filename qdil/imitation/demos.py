@@ -95,10 +95,8 @@ def load(path: Path, robot: str, backend: str) -> Demonstrations:
     try:
         with np.load(path, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError) as error:
-        raise ValueError(f"{path} is not a readable demonstrations file ({error}).") from None
-    except Exception as error:  # zipfile and zlib have errors of their own for corrupt archives
-        raise ValueError(f"{path} is damaged ({error}).") from None
+    except Exception as error:  # zipfile, zlib and numpy each have errors of their own for what is not an .npz
+        raise ValueError(f"{path} is damaged or not a demonstrations file ({type(error).__name__}).") from None
     missing = [name for name in (*FIELDS, "robot", "backend") if name not in data]
     if missing:
         raise ValueError(f"{path} is not a demonstrations file: it has no {', '.join(missing)}.")
@@ -106,9 +104,9 @@ def load(path: Path, robot: str, backend: str) -> Demonstrations:
         raise ValueError(
             f"{path} holds demonstrations of {data['robot']} on {data['backend']}, not of {robot} on {backend}."
         )
-    lengths = {len(data[name]) for name in FIELDS}
+    lengths = {data[name].shape[0] if data[name].ndim == 2 else 0 for name in FIELDS}
     if len(lengths) != 1 or 0 in lengths:
-        raise ValueError(f"{path} has columns of {sorted(lengths)} rows; they must agree and not be empty.")
-    if not all(np.isfinite(data[name]).all() for name in FIELDS):
-        raise ValueError(f"{path} contains numbers that are not finite.")
+        raise ValueError(f"{path} has columns of {sorted(lengths)} rows; they must be tables that agree and not empty.")
+    if not all(data[name].dtype.kind == "f" and np.isfinite(data[name]).all() for name in FIELDS):
+        raise ValueError(f"{path} contains numbers that are not finite, or no numbers at all.")
     return Demonstrations(*(jnp.asarray(data[name], jnp.float32) for name in FIELDS))

@@ -1,6 +1,8 @@
 """The door to Brax: halfcheetah, walker2d and humanoid with foot contacts; nothing else imports Brax's physics."""
 
+import io
 import warnings
+from contextlib import redirect_stdout
 from typing import Any, NamedTuple
 
 import jax
@@ -45,8 +47,9 @@ def make(name: str, backend: str = "spring") -> Environment:
         raise ValueError(f"unknown robot '{name}'; choose one of {', '.join(ROBOTS)}.")
     if backend not in BACKENDS:
         raise ValueError(f"unknown backend '{backend}'; choose one of {', '.join(BACKENDS)}.")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Brax announces that its own robots are no longer maintained
+    with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+        # Brax announces that its own robots are no longer maintained, its engine that an optional GPU part is absent.
+        warnings.simplefilter("ignore")
         from brax import contact, envs
         from brax.envs.base import State
 

@@ -1,0 +1,139 @@
+"""Whole-episode evaluation against a plain Python loop on the counter robot."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from probes import counter, obs_stats, true_rewards
+
+from qdil.search import networks
+from qdil.search.evaluate import Policies, evaluate
+from qdil.search.rollout import start
+
+BOUND, LIMIT, CHUNK, EPISODES, CANDIDATES = 2.0, 10, 4, 3, 5
+LIKE = networks.init_policy(jax.random.key(0), 1, 1, (3,), 1e-6)
+STATS = obs_stats([0.5], [2.0])
+
+
+def fitness(carry, stats, steps):
+    """A made-up fitness that reads the reward model's normaliser, the action and the proxy."""
+    return carry, (steps.obs[..., 0] - stats.mean) / stats.std + 3 * steps.action[..., 0] + steps.proxy[..., 1]
+
+
+def scored(env, policies, key, rewards=fitness, sample_actions=False):
+    run = jax.jit(lambda p, k: evaluate(env, rewards, LIKE, p, STATS, (), k, LIMIT, CHUNK, sample_actions))
+    return jax.tree.map(np.asarray, run(policies, key))
+
+
+@pytest.fixture(scope="module")
+def policies():
+    """Policies that walk forward, backward or hardly at all, each with an observation normaliser of its own."""
+    rng = np.random.default_rng(0)
+    theta = rng.normal(size=(CANDIDATES, networks.flat_size(LIKE))).astype(np.float32)
+    theta[:, np.asarray(networks.flatten(LIKE)) == np.log(np.float32(1e-6))] = np.log(1e-6)
+    return Policies(
+        jnp.asarray(theta),
+        jnp.asarray(rng.normal(size=(CANDIDATES, 1)), jnp.float32),
+        jnp.asarray(rng.uniform(0.5, 2, size=(CANDIDATES, 1)), jnp.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def keys():
+    return jax.random.split(jax.random.key(7), (CANDIDATES, EPISODES))
+
+
+def mean_action(policies, i, position):
+    """The policy's mean, clipped as a robot's actions are: a one-layer tanh network written out."""
+    first, last = (jax.tree.map(np.asarray, layer) for layer in networks.unflatten(policies.theta[i], LIKE)["mean"])
+    x = np.clip((position - policies.obs_mean[i]) / policies.obs_std[i], -10, 10)
+    return float(np.clip(np.tanh(x @ first["w"] + first["b"]) @ last["w"] + last["b"], -1, 1)[0])
+
+
+def episode_by_hand(policies, i, position):
+    """One episode: sum of fitness, return, mean of δ, length."""
+    total, true, proxies, length = 0.0, 0.0, [], 0
+    while length < LIMIT and position < BOUND:
+        action = mean_action(policies, i, position)
+        proxies.append([position >= 1, position >= 2])
+        total += (position - 0.5) / 2 + 3 * action + proxies[-1][1]
+        position += action
+        true += position + action / 4
+        length += 1
+    return total, true, np.mean(proxies, axis=0), length
+
+
+def test_scores_equal_a_plain_loop_over_every_episode(policies, keys):
+    scores = scored(counter(BOUND), policies, keys)
+    starts = np.asarray(start(counter(BOUND), keys.reshape(-1)).robot.physics).reshape(CANDIDATES, EPISODES)
+    lengths = []
+    for i in range(CANDIDATES):
+        episodes = [episode_by_hand(policies, i, float(starts[i, n])) for n in range(EPISODES)]
+        by_hand = [np.mean(part, axis=0) for part in zip(*episodes, strict=True)]
+        for score, expected in zip(scores[:4], by_hand, strict=True):
+            np.testing.assert_allclose(score[i], expected, rtol=1e-4, atol=1e-4)
+        lengths += [episode[3] for episode in episodes]
+    assert scores.finite.all()
+    assert min(lengths) < CHUNK < LIMIT == max(lengths)
+
+
+def test_permuting_candidates_permutes_scores(policies, keys):
+    order = np.array([3, 1, 4, 0, 2])
+    env = counter(BOUND)
+    plain, permuted = scored(env, policies, keys), scored(env, jax.tree.map(lambda x: x[order], policies), keys[order])
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a[order], b, rtol=1e-6), plain, permuted)
+
+
+def always(actions):
+    """Policies that take the same action wherever they are."""
+    zero = jax.tree.map(jnp.zeros_like, LIKE)
+
+    def one(action):
+        last = {**zero["mean"][-1], "b": jnp.array([action])}
+        return networks.flatten({"mean": [zero["mean"][0], last], "log_std": LIKE["log_std"]})
+
+    theta = jnp.stack([one(a) for a in actions])
+    return Policies(theta, jnp.zeros((len(actions), 1)), jnp.ones((len(actions), 1)))
+
+
+def test_a_robot_that_fell_is_driven_no_further():
+    # Beyond the bound the counter's reward is not a number, which would show in the return.
+    scores = scored(counter(1.5), always([0.8, 0.0]), jax.random.split(jax.random.key(0), (2, 4)))
+    assert np.isfinite(scores.true_return).all()
+    assert scores.length[0] <= 2 and scores.length[1] == LIMIT
+
+
+def test_only_the_diverging_candidate_is_not_finite():
+    scores = scored(
+        counter(1e3, diverges_above=2.5), always([0.0, 0.9, -0.9]), jax.random.split(jax.random.key(0), (3, 4))
+    )
+    assert scores.finite.tolist() == [True, False, True]
+    assert np.isfinite(scores.fitness).all()
+
+
+def test_the_loop_ends_with_the_last_episode():
+    chunks = []
+
+    def counting(carry, stats, steps):
+        jax.debug.callback(lambda _: chunks.append(1), steps.reward)
+        return true_rewards(carry, stats, steps)
+
+    scores = scored(counter(4.0), always([1.0, 1.0]), jax.random.split(jax.random.key(0), (2, 2)), counting)
+    jax.effects_barrier()
+    assert scores.length.tolist() == [4, 4]
+    assert len(chunks) == 1
+
+
+def test_sampled_actions_have_the_policys_mean_and_spread():
+    policies = jax.tree.map(lambda x: jnp.repeat(x, 4000, axis=0), always([0.1]))
+    theta = networks.unflatten(policies.theta[0], LIKE) | {"log_std": jnp.log(jnp.array([0.2]))}
+    policies = policies._replace(theta=jnp.tile(networks.flatten(theta), (4000, 1)))
+    keys = jax.random.split(jax.random.key(0), (4000, 1))
+
+    def first_action(carry, stats, steps):
+        return carry, steps.action[..., 0]
+
+    run = jax.jit(lambda p, k: evaluate(counter(BOUND), first_action, LIKE, p, STATS, (), k, 1, 1, True))
+    actions = np.asarray(run(policies, keys).fitness)
+    assert actions.mean() == pytest.approx(0.1, abs=4 * 0.2 / np.sqrt(4000))
+    assert actions.std() == pytest.approx(0.2, rel=0.05)

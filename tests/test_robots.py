@@ -1,0 +1,109 @@
+"""The robots on real physics: contact measures, falls, time limits, random resets, divergence."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from qdil.robots import brax_robots
+from qdil.robots.environment import Environment, RobotState
+from qdil.search.rollout import start, window
+
+ROBOTS = tuple(brax_robots.ROBOTS)
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request) -> Environment:
+    return brax_robots.make(request.param)
+
+
+def lifted(env: Environment, height: float) -> RobotState:
+    """The robot's initial pose, moved up by ``height`` metres."""
+    from brax import envs
+
+    inside = envs.get_environment(env.name, backend=env.backend)
+    # Planar robots have their height as the second coordinate, the humanoid (x, y, z, quaternion) as the third.
+    up = 2 if env.name == "humanoid" else 1
+    physics = inside.pipeline_init(inside.sys.init_q.at[up].add(height), jnp.zeros(inside.sys.qd_size()))
+    return RobotState(physics, jnp.zeros(env.obs_size), jnp.zeros(2))
+
+
+def settle(env: Environment, state: RobotState, steps: int) -> np.ndarray:
+    """Proxies (steps, k) under zero torque."""
+
+    def one(state, _):
+        state, _ = env.step(state, jnp.zeros(env.action_size))
+        return state, state.proxy
+
+    return np.asarray(jax.jit(lambda s: jax.lax.scan(one, s, None, steps)[1])(state))
+
+
+def test_feet_touch_when_standing_and_not_in_the_air(robot):
+    # Let go in its initial pose, each robot comes to rest on both feet within a moment, before it falls over.
+    landed = settle(robot, lifted(robot, 0.0), 40)
+    assert (landed == 1.0).all(axis=1).any()
+    flying = settle(robot, lifted(robot, 5.0), 4)
+    assert (flying == 0.0).all()
+
+
+def test_sizes_are_those_of_the_robot(robot):
+    state = jax.eval_shape(robot.reset, jax.random.key(0))
+    assert state.obs.shape == (robot.obs_size,)
+    assert state.proxy.shape == (len(robot.measure_names),) == (2,)
+
+
+def test_a_foot_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="not links of this robot"):
+        brax_robots.foot_links(["torso", "leg"], ("leg", "paw"))
+
+
+@pytest.mark.parametrize("name, backend", [("dog", "spring"), ("walker2d", "clay")])
+def test_unknown_robot_or_backend_is_refused(name, backend):
+    with pytest.raises(ValueError, match="choose one of"):
+        brax_robots.make(name, backend)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """A window of walker2d under random torques, 8 robots, time limit 30 steps."""
+    env = brax_robots.make("walker2d")
+
+    def act(key, obs):
+        action = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1, maxval=1))(key)
+        return action, jnp.zeros(len(key))
+
+    run = jax.jit(lambda key: window(env, act, start(env, key), 64, 30))
+    _, transitions, _ = run(jax.random.split(jax.random.key(1), 8))
+    return jax.tree.map(np.asarray, transitions)
+
+
+def test_falls_and_time_limits_are_told_apart(driven):
+    assert driven.terminated.any() and driven.truncated.any()
+    assert not (driven.terminated & driven.truncated).any()
+    # A fall leaves walker2d's healthy range of trunk height (0.8 to 2 m) or of trunk angle (±1 rad).
+    height, angle = driven.next_obs[..., 0], driven.next_obs[..., 1]
+    healthy = (height > 0.8) & (height < 2.0) & (np.abs(angle) < 1.0)
+    assert (healthy == ~driven.terminated).all()
+
+
+def test_every_reset_draws_its_own_start_state(driven):
+    ended = driven.terminated | driven.truncated
+    after_reset = driven.obs[1:][ended[:-1]]
+    assert len(after_reset) > 8
+    assert len(np.unique(after_reset.round(6), axis=0)) == len(after_reset)
+
+
+def test_steps_of_an_episode_follow_each_other(driven):
+    ended = driven.terminated | driven.truncated
+    goes_on = ~ended[:-1]
+    np.testing.assert_array_equal(driven.next_obs[:-1][goes_on], driven.obs[1:][goes_on])
+    assert (driven.next_obs[:-1][~goes_on] != driven.obs[1:][~goes_on]).any(axis=-1).all()
+
+
+def test_diverged_physics_ends_the_episode_with_finite_numbers():
+    env = brax_robots.make("walker2d")
+    state = env.reset(jax.random.key(0))
+    broken = state._replace(physics=jax.tree.map(lambda x: x * jnp.nan, state.physics))
+    after, outcome = jax.jit(env.step)(broken, jnp.zeros(env.action_size))
+    assert bool(outcome.terminated) and not bool(outcome.finite)
+    assert np.isfinite(outcome.reward) and np.isfinite(after.obs).all()

@@ -1,0 +1,80 @@
+"""Training windows, replayed step by step in plain Python."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from probes import counter
+
+from qdil.search.rollout import start, window
+
+BOUND, LIMIT, LENGTH, ENVS = 3.0, 6, 12, 8
+
+
+def push_randomly(key, obs):
+    """Actions in [-0.5, 1.5), some of them beyond what the robot takes; their "log probability" is the observation."""
+    raw = jax.vmap(lambda k: jax.random.uniform(k, (1,), minval=-0.5, maxval=1.5))(key)
+    return raw, obs[:, 0]
+
+
+@pytest.fixture(scope="module")
+def two_windows():
+    """Two consecutive windows of the counter, joined along time, as NumPy arrays; and each window's first action."""
+    env = counter(BOUND)
+    drive = jax.jit(lambda actors: window(env, push_randomly, actors, LENGTH, LIMIT))
+    actors = start(env, jax.random.split(jax.random.key(0), ENVS))
+    actors, *first = drive(actors)
+    actors, *second = drive(actors)
+    join = jax.tree.map(lambda a, b: np.concatenate([a, b]), first, second)
+    return join[0], join[1]
+
+
+def test_steps_follow_the_robots_own_rules_across_windows(two_windows):
+    steps, choice = two_windows
+    falls = limits = 0
+    for e in range(ENVS):
+        position, age, proxies = steps.obs[0, e, 0], 0, []
+        for t in range(2 * LENGTH):
+            assert steps.obs[t, e, 0] == position
+            action = np.clip(choice.raw_action[t, e, 0], -1, 1)
+            after, age = np.float32(position + action), age + 1
+            proxies.append([position >= 1, position >= 2])
+            fell = after >= BOUND
+            timed_out = age == LIMIT and not fell
+            assert steps.action[t, e, 0] == action
+            assert steps.next_obs[t, e, 0] == after
+            assert steps.reward[t, e] == pytest.approx(after + action / 4, abs=1e-6)
+            assert steps.proxy[t, e].tolist() == proxies[-1]
+            np.testing.assert_allclose(steps.measures_so_far[t, e], np.mean(proxies, axis=0), rtol=1e-6)
+            assert (steps.terminated[t, e], steps.truncated[t, e]) == (fell, timed_out)
+            falls, limits = falls + fell, limits + timed_out
+            position = after
+            if fell or timed_out:
+                age, proxies = 0, []
+                if t + 1 < 2 * LENGTH:
+                    position = steps.obs[t + 1, e, 0]
+                    assert 0 <= position < 1
+    assert falls > ENVS and limits > 1
+
+
+def test_each_choice_is_remembered_as_it_was_drawn(two_windows):
+    steps, choice = two_windows
+    assert np.abs(choice.raw_action).max() > 1
+    np.testing.assert_array_equal(choice.log_prob, steps.obs[..., 0])
+
+
+def test_every_episode_starts_somewhere_else(two_windows):
+    steps, _ = two_windows
+    ended = np.concatenate([np.ones((1, ENVS), bool), steps.ended[:-1]])
+    starts = steps.obs[..., 0][ended]
+    assert len(starts) > 3 * ENVS
+    assert len(np.unique(starts)) == len(starts)
+
+
+def test_a_robots_future_does_not_depend_on_its_neighbours():
+    env = counter(BOUND)
+    keys = jax.random.split(jax.random.key(1), 4)
+    order = jnp.array([2, 0, 3, 1])
+    run = jax.jit(lambda k: window(env, push_randomly, start(env, k), LENGTH, LIMIT))
+    plain, permuted = run(keys)[1], run(keys[order])[1]
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[:, order], b), plain, permuted)

@@ -1,0 +1,125 @@
+"""Whole smoke runs on walker2d through the command line: expert, demonstrations, GAIL and MConbo-GAIL."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from qdil import run
+from qdil.cli import main
+from qdil.config import make_config
+from qdil.files import sha256
+from qdil.imitation import demos as demonstrations
+
+FILES = {"config.json", "metrics.csv", "archive.npz", "policies.npz", "manifest.json"}
+
+
+def qdil(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A folder with a smoke expert, its demonstrations, and two imitators trained on them."""
+    root = tmp_path_factory.mktemp("runs")
+    common = ["--env", "walker2d", "--budget", "smoke"]
+    assert qdil("train", *common, "--method", "true", "--out", root / "true") == 0
+    assert qdil("demos", *common, "--expert", root / "true", "--out", root / "demos.npz", "--episodes", 2) == 0
+    for method in ("gail", "mconbo-gail"):
+        arguments = [*common, "--method", method, "--demos", root / "demos.npz", "--out", root / method]
+        assert qdil("train", *arguments) == 0
+    return root
+
+
+@pytest.mark.parametrize("method", ["true", "gail", "mconbo-gail"])
+def test_a_run_folder_is_whole(made, method):
+    folder = made / method
+    assert {path.name for path in folder.iterdir()} == FILES
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["sha256"] == {name: sha256(folder / name) for name in FILES - {"manifest.json"}}
+    config = json.loads((folder / "config.json").read_text())
+    assert config == {**config, "method": method, "env": "walker2d", "seed": 1, "gamma": 0.99}
+
+
+@pytest.mark.parametrize("method", ["true", "gail", "mconbo-gail"])
+def test_metrics_agree_with_the_archive(made, method):
+    metrics = pd.read_csv(made / method / "metrics.csv")
+    elites = run.read_archive(made / method)
+    last = metrics.iloc[-1]
+    assert list(metrics.columns[:9]) == run.FIRST_COLUMNS
+    assert list(metrics["iteration"]) == [1, 2]
+    assert last["qd_score"] == pytest.approx(elites["true_return"].sum(), rel=1e-5)
+    assert last["learned_qd_score"] == pytest.approx(elites["fitness"].sum(), rel=1e-5)
+    assert last["coverage"] == len(elites["index"]) / np.prod(elites["cells"])
+    assert last["best"] == pytest.approx(elites["true_return"].max())
+    assert (metrics["env_steps"].diff().dropna() > 0).all()
+
+
+def test_the_expert_is_filled_by_true_returns_and_imitators_by_learned_ones(made):
+    expert, imitator = run.read_archive(made / "true"), run.read_archive(made / "gail")
+    np.testing.assert_array_equal(expert["fitness"], expert["true_return"])
+    assert not np.allclose(imitator["fitness"], imitator["true_return"])
+
+
+def test_demonstrations_are_whole_episodes_of_the_chosen_elites(made):
+    with np.load(made / "demos.npz", allow_pickle=False) as file:
+        demos = dict(file)
+    elites = run.read_archive(made / "true")
+    rows = demonstrations.select(elites["true_return"], elites["measures"], 25, 2)
+    np.testing.assert_array_equal(demos["elite_index"], elites["index"][rows])
+    for episode in range(2):
+        mine = demos["episode"] == episode
+        ended = demos["terminated"][mine] | demos["truncated"][mine]
+        assert ended[-1] and not ended[:-1].any()
+        # Rows are aligned: the next state of a step is the state of the following one.
+        np.testing.assert_array_equal(demos["next_obs"][mine][:-1], demos["obs"][mine][1:])
+        np.testing.assert_allclose(demos["episode_return"][episode], demos["reward"][mine].sum(), rtol=1e-5)
+        np.testing.assert_allclose(demos["episode_measures"][episode], demos["proxy"][mine].mean(axis=0), rtol=1e-5)
+    assert np.abs(demos["action"]).max() <= 1.0
+
+
+def test_same_seed_gives_the_same_bytes_and_another_seed_does_not(made, tmp_path):
+    for seed in (1, 2):
+        run.train(make_config("walker2d", "true", "smoke", seed), tmp_path / f"seed-{seed}")
+    once, again, other = (sha256(f / "archive.npz") for f in (made / "true", tmp_path / "seed-1", tmp_path / "seed-2"))
+    assert once == again != other
+
+
+def test_a_finished_run_is_not_trained_again(made, capsys):
+    before = (made / "true" / "manifest.json").stat().st_mtime_ns
+    assert qdil("train", "--env", "walker2d", "--method", "true", "--budget", "smoke", "--out", made / "true") == 0
+    assert "already finished" in capsys.readouterr().out
+    assert (made / "true" / "manifest.json").stat().st_mtime_ns == before
+
+
+def test_other_settings_in_a_finished_folder_are_refused(made, capsys):
+    arguments = ["--env", "walker2d", "--method", "true", "--budget", "smoke", "--seed", 7, "--out", made / "true"]
+    assert qdil("train", *arguments) == 2
+    assert "other settings" in capsys.readouterr().err
+
+
+def test_demonstrations_of_another_robot_are_refused(made, tmp_path, capsys):
+    arguments = ["--env", "halfcheetah", "--method", "gail", "--budget", "smoke", "--demos", made / "demos.npz"]
+    assert qdil("train", *arguments, "--out", tmp_path / "run") == 2
+    assert "holds demonstrations of walker2d" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_more_demonstrations_than_elites_are_refused(made, tmp_path, capsys):
+    arguments = ["--env", "walker2d", "--budget", "smoke", "--expert", made / "true", "--out", tmp_path / "d.npz"]
+    assert qdil("demos", *arguments, "--episodes", 500) == 2
+    assert "only" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env", ["halfcheetah", "humanoid"])
+def test_the_other_robots_run_end_to_end(env, tmp_path):
+    common = ["--env", env, "--budget", "smoke"]
+    assert qdil("train", *common, "--method", "true", "--out", tmp_path / "true") == 0
+    assert qdil("demos", *common, "--expert", tmp_path / "true", "--out", tmp_path / "demos.npz") == 0
+    for method in ("gail", "mconbo-gail"):
+        arguments = [*common, "--method", method, "--demos", tmp_path / "demos.npz", "--out", tmp_path / method]
+        assert qdil("train", *arguments) == 0
+        assert len(run.read_archive(tmp_path / method)["index"]) > 0
