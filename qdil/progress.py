@@ -19,7 +19,10 @@ class Progress:
         self.config = config
         self.live = sys.stderr.isatty() if live is None else live
         self.bar = tqdm(total=config.iterations, desc=f"{config.env} {config.method}", unit="it") if self.live else None
-        self.begin, self.last_line = time.monotonic(), 0.0
+        self.first = 0.0  # when the first iteration was done: what came before, compilation above all, does not recur
+        self.last_line = 0.0
+        if self.bar is None:
+            print(f"{config.env} {config.method}: compiling, then {config.warmup_updates} warm-up updates", flush=True)
 
     def __call__(self, search: Search, row: dict[str, float]) -> None:
         """Show one iteration."""
@@ -28,13 +31,14 @@ class Progress:
             f"{row['env_steps'] / max(row['wall_seconds'], 1e-9):.0f} steps/s"
         )
         done, total = int(row["iteration"]), self.config.iterations
+        self.first = self.first or time.monotonic()
         if self.bar is not None:
             self.bar.set_postfix_str(text, refresh=False)
             self.bar.update()
         elif done == total or time.monotonic() - self.last_line > SECONDS_BETWEEN_LINES:
-            left = (time.monotonic() - self.begin) / done * (total - done)
-            label = f"{self.config.env} {self.config.method}"
-            print(f"{label}: iteration {done}/{total}, {text}, {left:.0f} s left", flush=True)
+            left = (time.monotonic() - self.first) / max(done - 1, 1) * (total - done)
+            clock = f", {left:.0f} s left" if done > 1 else ""
+            print(f"{self.config.env} {self.config.method}: iteration {done}/{total}, {text}{clock}", flush=True)
             self.last_line = time.monotonic()
 
     def close(self) -> None:

@@ -13,8 +13,7 @@ SPEED_LIMIT = 1.0  # actions are clipped to ± this, as every robot does
 def counter(bound: float, diverges_above: float = np.inf) -> Environment:
     """A point that its action pushes along a line, s' = s + a, and that falls once it has reached ``bound``.
 
-    Starts evenly in [0, 1); reward s' + a/4; δ(s) = (s ≥ 1, s ≥ 2). It diverges where s' passes ``diverges_above``,
-    and its reward is not a number once it starts a step at or beyond ``bound``.
+    Starts evenly in [0, 1); reward s' + a/4; δ(s) = (s ≥ 1, s ≥ 2). It diverges where s' passes ``diverges_above``.
     """
 
     def at(position: jax.Array) -> RobotState:
@@ -28,8 +27,7 @@ def counter(bound: float, diverges_above: float = np.inf) -> Environment:
         push = jnp.clip(action[0], -SPEED_LIMIT, SPEED_LIMIT)
         position = state.physics + push
         finite = position <= diverges_above
-        reward = jnp.where(state.physics >= bound, jnp.nan, position + push / 4)
-        return at(position), Outcome(reward, (position >= bound) | ~finite, finite)
+        return at(position), Outcome(position + push / 4, (position >= bound) | ~finite, finite)
 
     return Environment("counter", "probe", 1, 1, ("past one", "past two"), 0.1, reset, step)
 

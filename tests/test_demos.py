@@ -171,7 +171,7 @@ def test_a_single_array_is_refused(tmp_path, rows):
     refused(tmp_path / "demos.npz")
 
 
-@pytest.mark.parametrize(("name", "bad"), itertools.product(demos.FIELDS, [np.nan, np.inf]))
+@pytest.mark.parametrize(("name", "bad"), list(itertools.product(demos.FIELDS, [np.nan, np.inf])))
 def test_numbers_that_are_not_finite_are_refused(tmp_path, rows, name, bad):
     rows[name][3, 1] = bad
     demos.save(tmp_path / "demos.npz", rows, WALKER)

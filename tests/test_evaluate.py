@@ -96,13 +96,6 @@ def always(actions):
     return Policies(theta, jnp.zeros((len(actions), 1)), jnp.ones((len(actions), 1)))
 
 
-def test_a_robot_that_fell_is_driven_no_further():
-    # Beyond the bound the counter's reward is not a number, which would show in the return.
-    scores = scored(counter(1.5), always([0.8, 0.0]), jax.random.split(jax.random.key(0), (2, 4)))
-    assert np.isfinite(scores.true_return).all()
-    assert scores.length[0] <= 2 and scores.length[1] == LIMIT
-
-
 def test_only_the_diverging_candidate_is_not_finite():
     scores = scored(
         counter(1e3, diverges_above=2.5), always([0.0, 0.9, -0.9]), jax.random.split(jax.random.key(0), (3, 4))
@@ -111,17 +104,29 @@ def test_only_the_diverging_candidate_is_not_finite():
     assert np.isfinite(scores.fitness).all()
 
 
-def test_the_loop_ends_with_the_last_episode():
+def watched(actions, bound):
+    """Scores of such policies, and the observations (T, E) of every chunk that was simulated."""
     chunks = []
 
-    def counting(carry, stats, steps):
-        jax.debug.callback(lambda _: chunks.append(1), steps.reward)
+    def watching(carry, stats, steps):
+        jax.debug.callback(lambda obs: chunks.append(np.asarray(obs[..., 0])), steps.obs, ordered=True)
         return true_rewards(carry, stats, steps)
 
-    scores = scored(counter(4.0), always([1.0, 1.0]), jax.random.split(jax.random.key(0), (2, 2)), counting)
+    scores = scored(counter(bound), always(actions), jax.random.split(jax.random.key(0), (len(actions), 2)), watching)
     jax.effects_barrier()
-    assert scores.length.tolist() == [4, 4]
-    assert len(chunks) == 1
+    return scores, chunks
+
+
+def test_the_loop_ends_with_the_last_episode():
+    scores, chunks = watched([1.0, 0.5], 3.0)
+    assert scores.length[0] == 3 and CHUNK < scores.length[1] <= 6
+    assert len(chunks) == 2
+
+
+def test_a_robot_that_fell_is_driven_no_further():
+    scores, chunks = watched([0.8, 0.0], 1.5)
+    assert scores.length[0] <= 2 and scores.length[1] == LIMIT
+    assert np.max(chunks) < 1.5
 
 
 def test_sampled_actions_have_the_policys_mean_and_spread():

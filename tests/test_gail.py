@@ -87,7 +87,7 @@ def test_accuracies_by_hand():
 
 def test_gradient_agrees_with_finite_differences(problem):
     params, *data = problem
-    slopes = jax.grad(discriminator_loss, has_aux=True)(params, *data, 10.0)[0]
+    slopes = jax.jit(jax.grad(discriminator_loss, has_aux=True))(params, *data, 10.0)[0]
     leaves, tree = jax.tree.flatten(params)
     for which, (leaf, slope) in enumerate(zip(leaves, jax.tree.leaves(slopes), strict=True)):
         for at in np.ndindex(leaf.shape):

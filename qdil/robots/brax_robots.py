@@ -2,7 +2,9 @@
 
 import io
 import warnings
-from contextlib import redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -36,6 +38,21 @@ def foot_links(link_names: list[str], feet: tuple[str, ...]) -> list[int]:
     return [link_names.index(foot) for foot in feet]
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Hide what importing Brax says of its own age, of optional parts, and of its model files' old dialect."""
+    import mujoco
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
 def make(name: str, backend: str = "spring") -> Environment:
     """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
 
@@ -47,15 +64,15 @@ def make(name: str, backend: str = "spring") -> Environment:
         raise ValueError(f"unknown robot '{name}'; choose one of {', '.join(ROBOTS)}.")
     if backend not in BACKENDS:
         raise ValueError(f"unknown backend '{backend}'; choose one of {', '.join(BACKENDS)}.")
-    with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
-        # Brax announces that its own robots are no longer maintained, its engine that an optional GPU part is absent.
-        warnings.simplefilter("ignore")
+    with _quiet():
         from brax import contact, envs
         from brax.envs.base import State
 
         env: Any = envs.get_environment(ROBOTS[name].brax_name, backend=backend)
+        start = jax.eval_shape(env.reset, jax.random.key(0))
+        jax.eval_shape(partial(contact.get, env.sys), start.pipeline_state.x)  # the collision code is imported here
+    metric_names = tuple(start.metrics)
     feet = jnp.asarray(foot_links(list(env.sys.link_names), ROBOTS[name].feet))
-    metric_names = tuple(jax.eval_shape(env.reset, jax.random.key(0)).metrics)
 
     def proxy(physics: Any) -> jax.Array:
         contacts = contact.get(env.sys, physics.x)
