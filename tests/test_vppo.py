@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jax.sharding import PartitionSpec as P
-from probes import target, true_rewards
+from probes import target, transitions, true_rewards
 from scipy.stats import norm
 
 from qdil.search import networks, vppo
@@ -262,3 +262,41 @@ def test_no_epochs_collect_a_window_and_teach_nothing(updates):
     np.testing.assert_array_equal(leaves(learner.critic), leaves(begun[0].critic))
     np.testing.assert_allclose(steps.reward, -np.square(steps.action[..., 0] - 0.5), atol=1e-6)
     np.testing.assert_allclose(stats.mean[0], np.mean(steps.obs), atol=1e-5)
+
+
+def test_the_critic_finds_the_known_value(updates):
+    # A bandit's value is its mean reward for ever: r̄ / (1 − γ), and time limits must not cut it short.
+    learner, stats, steps, _ = updates(60, jnp.tile(jnp.eye(K)[0], (K, 1)), True)
+    one = jax.tree.map(lambda leaf: np.asarray(leaf[0]), learner)
+    obs = (np.asarray(steps.obs) - np.asarray(stats.mean)) / np.asarray(stats.std)
+    said = dense(one.critic, obs) * one.returns.std + one.returns.mean
+    known = np.asarray(steps.reward).mean() / (1 - SETTINGS.gamma)
+    assert said[..., 0].mean() == pytest.approx(known, rel=0.25)
+
+
+def test_clipping_is_measured_from_what_the_critic_said():
+    # Returns far from zero make the statistics jump; were ``value`` restated in the new ones, nothing would be learned.
+    critic = networks.init_mlp(jax.random.key(1), (1, 8, K))
+    policy = networks.init_policy(jax.random.key(0), 1, 1, (8,), 0.5)
+    learner = vppo.init_learner(SETTINGS, policy, critic, K)
+    obs = jnp.asarray(np.random.default_rng(0).normal(size=(16, 4, 1)), jnp.float32)
+    steps = transitions(16, 4, obs=obs, next_obs=obs)
+    choice = Choice(steps.action, steps.reward)
+    rewards = jnp.full((16, 4, K), 7.0)
+
+    def prepare(learner):
+        weights = jnp.ones(K)
+        return vppo._prepare(learner, steps, choice, rewards, weights, jnp.array(True), init_obs_stats(1), SETTINGS)
+
+    def run(learner):
+        return jax.vmap(prepare, axis_name=vppo.COPIES)(learner)
+
+    sharded = jax.shard_map(run, mesh=make_mesh(1), in_specs=P(), out_specs=P(), check_vma=False)
+    after, batch = jax.jit(sharded)(vppo.fork(learner, 1))
+    assert np.abs(after.returns.mean).min() > 5
+    np.testing.assert_allclose(batch.value[0], dense(critic, steps.obs), atol=1e-5)
+    expected = slow_gae(
+        *[np.asarray(x, float) for x in (rewards, *[dense(critic, steps.obs)] * 2)], *np.zeros((2, 16)), 0.9, 0.8
+    )
+    returns = expected + dense(critic, steps.obs)
+    np.testing.assert_allclose(batch.target[0] * after.returns.std[0] + after.returns.mean[0], returns, rtol=1e-3)

@@ -35,4 +35,4 @@ class Environment(NamedTuple):
     measure_names: tuple[str, ...]  # one per foot; k = len(measure_names)
     step_seconds: float
     reset: Callable[[jax.Array], RobotState]  # key -> state
-    step: Callable[[RobotState, jax.Array], tuple[RobotState, Outcome]]  # action (A,) clipped to [-1, 1]
+    step: Callable[[RobotState, jax.Array], tuple[RobotState, Outcome]]  # action (A,), any size: the robot clips

@@ -20,11 +20,12 @@ def init_obs_stats(obs_size: int) -> ObsStats:
 def update_obs_stats(stats: ObsStats, obs: jax.Array, axis: str | None = AXIS) -> ObsStats:
     """Fold a batch ``obs`` (..., O) in (Chan et al.'s parallel Welford), over every device of ``axis``."""
     obs = obs.reshape(-1, obs.shape[-1])
-    mean, square = jnp.mean(obs, axis=0), jnp.mean(jnp.square(obs), axis=0)
-    size = jnp.asarray(obs.shape[0], jnp.float32)
+    mean, size = jnp.mean(obs, axis=0), jnp.asarray(obs.shape[0], jnp.float32)
     if axis is not None:
-        mean, square, size = jax.lax.pmean(mean, axis), jax.lax.pmean(square, axis), jax.lax.psum(size, axis)
-    variance = jnp.maximum(square - jnp.square(mean), 0.0)
+        mean, size = jax.lax.pmean(mean, axis), jax.lax.psum(size, axis)
+    variance = jnp.mean(jnp.square(obs - mean), axis=0)  # centred first: E[x²] − E[x]² loses small spreads in float32
+    if axis is not None:
+        variance = jax.lax.pmean(variance, axis)
     count = stats.seen + size
     delta = mean - stats.mean
     summed = stats.summed_variance + variance * size + jnp.square(delta) * stats.seen * size / count

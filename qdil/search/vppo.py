@@ -60,7 +60,7 @@ class Batch(NamedTuple):
     choice: Choice
     advantage: jax.Array  # (…) of the copy's own weighting, not yet normalised
     target: jax.Array  # (…, 1+k) normalised returns
-    value: jax.Array  # (…, 1+k) what the critic said when the window was collected, normalised
+    value: jax.Array  # (…, 1+k) the critic's output when the window was collected
 
 
 def optimiser(settings: Settings) -> optax.GradientTransformation:
@@ -170,16 +170,19 @@ def _prepare(
     """Advantages and return targets of one copy's window; moves its return statistics."""
     obs = normalise_obs(stats, transitions.obs)
     before = learner.returns
-    values = networks.mlp(learner.critic, obs) * before.std + before.mean
-    next_values = networks.mlp(learner.critic, normalise_obs(stats, transitions.next_obs)) * before.std + before.mean
+    said = networks.mlp(learner.critic, obs)
+    values = said * before.std + before.mean
+    next_said = networks.mlp(learner.critic, normalise_obs(stats, transitions.next_obs))
+    next_values = next_said * before.std + before.mean
     ends = transitions.terminated[..., None].astype(jnp.float32), transitions.truncated[..., None].astype(jnp.float32)
     advantages = gae(rewards, values, next_values, *ends, settings.gamma, settings.lam)
     returns = advantages + values
     mean = _across(jnp.mean(returns, axis=(0, 1)), tied)
     square = _across(jnp.mean(jnp.square(returns), axis=(0, 1)), tied)
     after = update_return_stats(before, mean, square)
-    target, value = (returns - after.mean) / after.std, (values - after.mean) / after.std
-    return learner._replace(returns=after), Batch(obs, choice, advantages @ weights, target, value)
+    target = (returns - after.mean) / after.std
+    # Clipping is to limit how far the critic moves, so it is measured from the critic's own output, before the shift.
+    return learner._replace(returns=after), Batch(obs, choice, advantages @ weights, target, said)
 
 
 def _minibatch_step(
@@ -288,12 +291,11 @@ def update(
     key, learn_key = split_each(actors.key)
     learner, kl = _learn(learner, batch, learn_key, tied, epochs, settings)
     stats = update_obs_stats(stats, transitions.obs)
-    ended = transitions.ended
     info = {
         "approx_kl": jnp.mean(kl),
         "fitness_reward": jax.lax.pmean(jnp.mean(fitness), AXIS),
         "true_reward": jax.lax.pmean(jnp.mean(transitions.reward), AXIS),
-        "episode_length": transitions.reward.size / jnp.maximum(jnp.sum(ended), 1),
+        "ended": jax.lax.psum(jnp.sum(transitions.ended), AXIS),
         "proxy": jax.lax.pmean(jnp.mean(transitions.proxy, axis=(0, 1)), AXIS),
         "action_std": jnp.mean(jnp.exp(learner.policy["log_std"])),
     }

@@ -60,8 +60,10 @@ class XNES(EvolutionStrategyBase):
 
     def check_stop(self, ranking_values: np.ndarray) -> bool:
         """True when the distribution has collapsed or blown up beyond use."""
-        scales = self.sigma * np.linalg.svd(self.shape, compute_uv=False)
-        return not np.all(np.isfinite(scales)) or scales.max() < 1e-8 or scales.max() > 1e8
+        if not (np.isfinite(self.sigma) and np.all(np.isfinite(self.shape))):
+            return True
+        widest = self.sigma * np.linalg.norm(self.shape, ord=2)
+        return bool(widest < 1e-8 or widest > 1e8)
 
     def ask(self, batch_size: Any = None) -> np.ndarray:
         """Sample (batch_size, d) coefficient vectors."""
