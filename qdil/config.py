@@ -87,13 +87,14 @@ class Config:
 
 
 LAPTOP: dict[str, Any] = {
-    "iterations": 150,
-    "warmup_updates": 400,
+    "iterations": 110,
+    "warmup_updates": 300,
     "gradient_updates": 5,
     "walk_updates": 5,
     "candidates": 48,
     "episodes": 3,
     "cells": 20,
+    "sigma0": 2.0,
     "archive_learning_rate": 1.0,
     "sample_actions": False,
     "actor_hidden": (64, 64),
@@ -101,7 +102,7 @@ LAPTOP: dict[str, Any] = {
     "num_envs": 192,
     "window": 64,
     "episode_length": 300,
-    "gamma": 0.995,
+    "gamma": 0.993,
     "target_kl": 0.02,
     "threshold_min": 0.0,
     "reward_steps": 20,
