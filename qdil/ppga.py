@@ -67,7 +67,8 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     improvement = archive.add(archives, candidates)
     xnes.tell(np.argsort(-improvement, kind="stable"), improvement)
 
-    # Walk (lines 16-17): θ_μ moves on the reward weighted by the xNES mean c_μ.
+    # Walk (lines 16-17): θ_μ moves on the reward weighted by the xNES mean c_μ; cells just filled pay no bonus.
+    occupied = jnp.asarray(archive.occupied(archives))
     c_mu = jnp.asarray(xnes.mean, jnp.float32)
     c_mu = c_mu.at[0].set(jnp.abs(c_mu[0]))
     walked = compiled.train(state, occupied, _tied(c_mu), True, config.walk_updates, config.epochs)
@@ -80,8 +81,8 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
         state, reward_info = compiled.update_reward(fresh.state, occupied, demos, fresh.transitions)
 
     # Restart (lines 19-22): nothing was added, so start again from a random elite with its own statistics.
-    restarted = not improvement.any()
-    if restarted or xnes.check_stop(improvement):
+    restarted = not improvement.any() or xnes.check_stop(improvement)
+    if restarted:
         xnes.reset(np.zeros(streams))
         elite = archive.random_elite(archives, rng)
         if elite is not None:
