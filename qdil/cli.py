@@ -123,11 +123,14 @@ def main(argv: list[str] | None = None) -> int:
     except ConfigError as error:
         print(f"qdil: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("qdil: interrupted.", file=sys.stderr)
-        return 1
     except BrokenPipeError:
         sys.stdout = open(os.devnull, "w")
+        return 1
+    except OSError as error:  # a folder that cannot be written, a full disk
+        print(f"qdil: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("qdil: interrupted.", file=sys.stderr)
         return 1
 
 

@@ -1,4 +1,4 @@
-"""Figures of finished runs, computed from their folders and written as PNG under ``results/figures``."""
+"""Figures and a table of finished runs, computed from their folders and written under ``results/figures``."""
 
 from pathlib import Path
 
@@ -16,8 +16,31 @@ def finished_runs(env: str, budget: str, seed: int, root: Path) -> dict[str, Pat
     return {name: folder for name, folder in folders.items() if run.is_finished(folder)}
 
 
+def summary_table(folders: dict[str, Path]) -> str:
+    """The final metrics of runs by method as a Markdown table, each number read from the run's own files.
+
+    "scored again" is the elites' average true return over fresh episodes, free of the luck that won them their cells.
+    """
+    columns = ["method", "QD-score", "coverage", "best", "average", "average, scored again", "million steps", "minutes"]
+    lines = ["| " + " | ".join(columns) + " |", "| " + " | ".join(["---"] + ["---:"] * (len(columns) - 1)) + " |"]
+    for method, folder in folders.items():
+        last = pd.read_csv(folder / "metrics.csv").iloc[-1]
+        again = float(run.read_archive(folder)["rescored_return"].mean())
+        numbers = [
+            f"{last['qd_score']:,.0f}",
+            f"{last['coverage']:.1%}",
+            f"{last['best']:.0f}",
+            f"{last['average']:.0f}",
+            f"{again:.0f}",
+            f"{last['env_steps'] / 1e6:.1f}",
+            f"{last['wall_seconds'] / 60:.1f}",
+        ]
+        lines.append("| " + " | ".join([f"`{method}`", *numbers]) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def write_figures(env: str, budget: str, seed: int, root: Path = run.RESULTS) -> list[Path]:
-    """Learning curves by iteration, by steps and by time, and all archives on one scale; returns the files written.
+    """Learning curves by iteration, steps and time, all archives on one scale, a table; returns the files written.
 
     Raises ConfigError where there is no finished run to draw.
     """
@@ -35,4 +58,6 @@ def write_figures(env: str, budget: str, seed: int, root: Path = run.RESULTS) ->
         content = plotting.to_png(figure)
         replace_file(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
         written.append(path)
-    return written
+    table = root / "figures" / f"{budget}-{env}-summary.md"
+    replace_file(table, lambda file: file.write(summary_table(folders).encode()))
+    return [*written, table]

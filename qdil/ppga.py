@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdil.compiled import Compiled, State, compile_run
+from qdil.compiled import Compiled, compile_run
 from qdil.config import Config, parse_method
 from qdil.imitation.bonus import is_empty
 from qdil.imitation.reward_model import Demonstrations
+from qdil.phases import State
 from qdil.search import archive
 from qdil.search.archive import Archives, Candidates
 from qdil.search.evaluate import Policies
@@ -31,12 +32,12 @@ class Search(NamedTuple):
 def begin(config: Config, demos: Demonstrations | None) -> Search:
     """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives."""
     compiled = compile_run(config)
-    k = len(compiled.env.measure_names)
+    k = len(compiled.parts.env.measure_names)
     archives = archive.make(
         config.cells,
         k,
-        sum(leaf.size for leaf in jax.tree.leaves(compiled.like)),
-        compiled.env.obs_size,
+        sum(leaf.size for leaf in jax.tree.leaves(compiled.parts.like)),
+        compiled.parts.env.obs_size,
         config.archive_learning_rate,
         config.threshold_min,
     )
@@ -50,7 +51,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     """One QD iteration, Algorithm 1, lines 4-22. Archives, xNES and the generator change in place."""
     config, compiled, archives, xnes, rng, demos, state = search
     occupied = jnp.asarray(archive.occupied(archives))
-    streams = 1 + len(compiled.env.measure_names)
+    streams = compiled.parts.streams
 
     # Gradients (lines 4-5): copy i of θ_μ is trained on reward stream i alone.
     forked = compiled.train(state, occupied, jnp.eye(streams), False, config.gradient_updates, config.epochs)
@@ -76,7 +77,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
 
     # Reward model (line 18): fresh rollouts of the walked policy, nothing learned from them but the reward.
     reward_info: dict[str, jax.Array] = {}
-    if compiled.learns:
+    if compiled.parts.model.learns:
         fresh = compiled.train(state, occupied, _tied(c_mu), True, 1, 0)
         state, reward_info = compiled.update_reward(fresh.state, occupied, demos, fresh.transitions)
 
@@ -91,7 +92,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     info = {
         "restarts": float(restarted),
         **{f"c{i}": float(c) for i, c in enumerate(c_mu)},
-        "steps": _env_steps(config, candidates, compiled.learns),
+        "steps": _env_steps(config, candidates, compiled.parts.model.learns),
         "added": float((improvement > 0).sum()),
         "not_finite": float((~candidates.finite).sum()),
         "walk_reward": float(walked.info["fitness_reward"]),
@@ -110,13 +111,13 @@ def warm_up(search: Search, updates: int) -> tuple[Search, int]:
     """
     config, compiled, demos, state = search.config, search.compiled, search.demos, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
-    weights = _tied(jnp.eye(1 + len(compiled.env.measure_names))[0])
+    weights = _tied(jnp.eye(compiled.parts.streams)[0])
     done = 0
     while done < updates:
         now = min(config.walk_updates, updates - done)
         trained = compiled.train(state, occupied, weights, True, now, config.epochs)
         state, done = trained.state, done + now
-        if compiled.learns:
+        if compiled.parts.model.learns:
             state, _ = compiled.update_reward(state, occupied, demos, trained.transitions)
     return search._replace(state=state), updates * config.window * config.num_envs
 
@@ -136,7 +137,7 @@ def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
     config, state = search.config, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
     keys = jax.random.split(key, (config.candidates, config.episodes))
-    scores = search.compiled.evaluate(policies, state, occupied, keys)
+    scores = search.compiled.score(policies, state, occupied, keys)
     fitness = scores.true_return if config.selection == "true" else scores.fitness
     if config.bonus_in_fitness and parse_method(config.method).bonus:
         bonus = config.bonus_p + config.bonus_q * is_empty(occupied, scores.measures)
@@ -158,7 +159,7 @@ def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
         rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up, then cut
         batch = Policies(*(jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std")))
         scores.append(evaluate(search, search.compiled.place(batch), jax.random.fold_in(key, first)))
-    k = len(search.compiled.env.measure_names)
+    k = len(search.compiled.parts.env.measure_names)
     fields = {"fitness": (0,), "true_return": (0,), "measures": (0, k)}
     joined = {n: np.concatenate([np.zeros(e), *(getattr(s, n) for s in scores)])[:count] for n, e in fields.items()}
     names = {"fitness": "rescored_fitness", "true_return": "rescored_return", "measures": "rescored_measures"}

@@ -68,14 +68,14 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     except ValueError as error:
         raise ConfigError(str(error)) from None
     write_json(folder / "config.json", to_json(config))
-    started = datetime.now(UTC)
-    search, rows = _iterations(search, folder, report)
+    begun = {"commit": commit(), "start": datetime.now(UTC).isoformat(timespec="seconds")}
+    search = _iterations(search, folder, report)
     _write_archive(search, folder)
-    _write_manifest(search, folder, started, demos_file if demos is not None else None)
+    _write_manifest(search, folder, begun, demos_file if demos is not None else None)
     return True
 
 
-def _iterations(search: ppga.Search, folder: Path, report: Report | None) -> tuple[ppga.Search, list[dict[str, float]]]:
+def _iterations(search: ppga.Search, folder: Path, report: Report | None) -> ppga.Search:
     """Warm-up and all QD iterations, with ``metrics.csv`` kept up to date."""
     config, begin = search.config, time.monotonic()
     cells = int(search.archives.result.cells)
@@ -99,7 +99,7 @@ def _iterations(search: ppga.Search, folder: Path, report: Report | None) -> tup
             written = time.monotonic()
         if report is not None:
             report(search, row)
-    return search, rows
+    return search
 
 
 def _write_archive(search: ppga.Search, folder: Path) -> None:
@@ -110,18 +110,17 @@ def _write_archive(search: ppga.Search, folder: Path) -> None:
     write_npz(folder / "policies.npz", **{name: elites[name] for name in POLICY_FIELDS})
 
 
-def _write_manifest(search: ppga.Search, folder: Path, started: datetime, demos_file: Path | None) -> None:
+def _write_manifest(search: ppga.Search, folder: Path, begun: dict[str, str], demos_file: Path | None) -> None:
     files = ["config.json", "metrics.csv", "archive.npz", "policies.npz"]
     devices = jax.local_devices()[: search.compiled.num_devices]
     write_json(
         folder / "manifest.json",
         {
-            "commit": commit(),
+            **begun,
             "packages": {name: version(name) for name in PACKAGES},
             "python": platform.python_version(),
             "device": f"{len(devices)} x {devices[0].device_kind}",
             "seed": search.config.seed,
-            "start": started.isoformat(timespec="seconds"),
             "end": datetime.now(UTC).isoformat(timespec="seconds"),
             "demonstrations_sha256": sha256(demos_file) if demos_file else None,
             "sha256": {name: sha256(folder / name) for name in files},
@@ -178,7 +177,7 @@ def make_demos(
         rows = demonstrations.select(elites["true_return"], elites["measures"], int(np.prod(elites["cells"])), episodes)
     except ValueError as error:
         raise ConfigError(str(error)) from None
-    from qdil.compiled import policy_like
+    from qdil.phases import policy_like
     from qdil.robots import brax_robots
 
     robot = brax_robots.make(config.env, config.backend)

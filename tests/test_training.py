@@ -50,7 +50,7 @@ def test_ppo_on_the_true_reward_improves(search):
 
     def mean_return(state):
         theta = jnp.tile(networks.flatten(state.learner.policy), (config.candidates, 1))
-        every = (config.candidates, compiled.env.obs_size)
+        every = (config.candidates, compiled.parts.env.obs_size)
         stats = jnp.broadcast_to(state.stats.mean, every), jnp.broadcast_to(state.stats.std, every)
         policies = compiled.place(ppga.Policies(theta, *stats))
         return ppga.evaluate(search._replace(state=state), policies, jax.random.key(9)).true_return.mean()
