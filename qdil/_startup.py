@@ -1,4 +1,4 @@
-"""Process-wide settings that only count before JAX starts: host devices and the compilation cache."""
+"""Process-wide settings that only count before JAX starts: host devices, their dispatch, the compilation cache."""
 
 import os
 import platform
@@ -26,7 +26,7 @@ def _set_host_devices() -> None:
 
 
 def _set_compilation_cache() -> None:
-    """Keep compiled programs between processes, in one folder per jaxlib version and processor."""
+    """Keep compiled programs between processes, in one folder per jaxlib version and kind of machine."""
     from importlib.metadata import version
 
     root = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
@@ -35,7 +35,18 @@ def _set_compilation_cache() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 
+def _keep_host_devices_from_waiting_for_ever() -> None:
+    """Twice as many threads as cores, and one program in flight at a time, where devices are CPU cores.
+
+    A device that waits for another's data blocks a thread. With no thread to spare the other device's arithmetic,
+    which is split over the same threads, can wait for that one, and the process hangs.
+    """
+    os.environ.setdefault("PJRT_NPROC", str(2 * _cores()))
+    os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "false")
+
+
 def prepare() -> None:
-    """Apply both settings; called once, when ``qdil`` is imported."""
+    """Apply all settings; called once, when ``qdil`` is imported."""
     _set_host_devices()
     _set_compilation_cache()
+    _keep_host_devices_from_waiting_for_ever()

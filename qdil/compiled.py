@@ -23,7 +23,7 @@ class Compiled(NamedTuple):
     score: Any  # (Policies, state, occupied, key (λ, n)) -> Scores
     update_reward: Any  # (state, occupied, demos, transitions) -> (State, info)
     jump: Any  # (state, theta (P,), obs mean, obs std) -> State at an elite
-    place: Any  # Policies -> Policies, laid out over the devices as ``score`` expects them
+    place: Any  # a tree with axis (λ) in front, laid out over the devices as ``score`` expects it
 
 
 def compile_run(config: Config) -> Compiled:
@@ -42,6 +42,12 @@ def compile_run(config: Config) -> Compiled:
     score = jax.shard_map(
         partial(phases.score, parts), in_specs=(P(AXIS), in_state, each, P(AXIS)), out_specs=P(AXIS), **shard
     )
+    update_reward = jax.shard_map(
+        partial(_update_reward_everywhere, parts),
+        in_specs=(in_state, each, each, P(None, AXIS)),
+        out_specs=(in_state, each),
+        **shard,
+    )
     return Compiled(
         parts,
         num_devices,
@@ -49,10 +55,16 @@ def compile_run(config: Config) -> Compiled:
         train=jax.jit(train),
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         score=jax.jit(score),
-        update_reward=jax.jit(partial(phases.update_reward, parts), out_shardings=(of_state, whole)),
+        update_reward=jax.jit(update_reward),
         jump=jax.jit(partial(phases.jump, parts), out_shardings=of_state),
-        place=lambda policies: jax.device_put(policies, split),
+        place=lambda tree: jax.device_put(tree, split),
     )
+
+
+def _update_reward_everywhere(parts: Parts, state: State, occupied: Any, demos: Any, transitions: Any) -> Any:
+    """Every device learns the same reward model from all robots' steps: one exchange of data, then none."""
+    everyones = jax.tree.map(lambda x: jax.lax.all_gather(x, AXIS, axis=1, tiled=True), transitions)
+    return phases.update_reward(parts, state, occupied, demos, everyones)
 
 
 def _layout(whole: Any, split: Any) -> Any:

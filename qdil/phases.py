@@ -144,7 +144,7 @@ def branch(state: State, theta: jax.Array, coefficients: jax.Array) -> tuple[Pol
 
 
 def score(parts: Parts, policies: Policies, state: State, occupied: jax.Array, key: jax.Array) -> Scores:
-    """Whole episodes of λ policies, ``key`` (λ, n), under the reward model without bonus (Algorithm 1, line 11)."""
+    """Whole episodes of λ policies, ``key`` (λ, n), scored by the reward model alone (Algorithm 1, line 11)."""
     config, model = parts.config, parts.model
     carry = model.begin(state.reward, key.shape[0] * key.shape[1])
 

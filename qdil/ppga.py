@@ -11,7 +11,7 @@ from qdil.config import Config, parse_method
 from qdil.imitation.bonus import is_empty
 from qdil.imitation.reward_model import Demonstrations
 from qdil.phases import State
-from qdil.search import archive
+from qdil.search import archive, networks
 from qdil.search.archive import Archives, Candidates
 from qdil.search.evaluate import Policies
 from qdil.search.xnes import XNES
@@ -32,18 +32,13 @@ class Search(NamedTuple):
 def begin(config: Config, demos: Demonstrations | None) -> Search:
     """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives."""
     compiled = compile_run(config)
-    k = len(compiled.parts.env.measure_names)
-    archives = archive.make(
-        config.cells,
-        k,
-        sum(leaf.size for leaf in jax.tree.leaves(compiled.parts.like)),
-        compiled.parts.env.obs_size,
-        config.archive_learning_rate,
-        config.threshold_min,
-    )
+    k, obs_size = len(compiled.parts.env.measure_names), compiled.parts.env.obs_size
+    theta_size = networks.flat_size(compiled.parts.like)
+    archives = archive.make(config.cells, k, theta_size, obs_size, config.archive_learning_rate, config.threshold_min)
     xnes_seed, elite_seed = np.random.SeedSequence(config.seed).spawn(2)
     xnes = XNES(config.sigma0, 1 + k, config.candidates, seed=xnes_seed)
     state = compiled.init(jax.random.key(config.seed), demos)
+    compiled.jump(state, np.zeros(theta_size, np.float32), *np.zeros((2, obs_size), np.float32))  # compiles it now
     return Search(config, compiled, archives, xnes, np.random.default_rng(elite_seed), demos, state)
 
 
@@ -72,6 +67,8 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     occupied = jnp.asarray(archive.occupied(archives))
     c_mu = jnp.asarray(xnes.mean, jnp.float32)
     c_mu = c_mu.at[0].set(jnp.abs(c_mu[0]))
+    if archives.soft.empty:  # nothing passed threshold_min yet, so c_μ has nothing to say: first learn the task itself
+        c_mu = jnp.eye(streams)[0]
     walked = compiled.train(state, occupied, _tied(c_mu), True, config.walk_updates, config.epochs)
     state = walked.state
 
@@ -136,7 +133,7 @@ def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
     """Score λ policies over whole episodes and bring them to the host, with the fitness that archives compete on."""
     config, state = search.config, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
-    keys = jax.random.split(key, (config.candidates, config.episodes))
+    keys = search.compiled.place(jax.random.split(key, (config.candidates, config.episodes)))
     scores = search.compiled.score(policies, state, occupied, keys)
     fitness = scores.true_return if config.selection == "true" else scores.fitness
     if config.bonus_in_fitness and parse_method(config.method).bonus:
@@ -146,19 +143,23 @@ def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
     return Candidates(*jax.device_get(policies), *host)
 
 
+def batch_of_elites(search: Search, first: int) -> Policies:
+    """λ elites from row ``first`` on, on the devices; the last one fills up a batch that would be too short."""
+    elites = archive.elite_arrays(search.archives)
+    rows = np.minimum(np.arange(first, first + search.config.candidates), len(elites["index"]) - 1)
+    solution, obs_mean, obs_std = (jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std"))
+    return search.compiled.place(Policies(solution, obs_mean, obs_std))
+
+
 def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
-    """Score every elite again, by the reward model as it is now and over new episodes (Appendix K).
+    """Score every elite again, over new episodes and by what fills the archive, as it is now (Appendix K).
 
     Returns ``rescored_fitness``, ``rescored_return`` (n,) and ``rescored_measures`` (n, k) in the order of
     ``archive.elite_arrays``: what selection of the best of many noisy scores hides.
     """
-    elites = archive.elite_arrays(search.archives)
-    count, size = len(elites["index"]), search.config.candidates
-    scores = []
-    for first in range(0, count, size):
-        rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up, then cut
-        batch = Policies(*(jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std")))
-        scores.append(evaluate(search, search.compiled.place(batch), jax.random.fold_in(key, first)))
+    count, size = len(search.archives.result), search.config.candidates
+    firsts = range(0, count, size)
+    scores = [evaluate(search, batch_of_elites(search, first), jax.random.fold_in(key, first)) for first in firsts]
     k = len(search.compiled.parts.env.measure_names)
     fields = {"fitness": (0,), "true_return": (0,), "measures": (0, k)}
     joined = {n: np.concatenate([np.zeros(e), *(getattr(s, n) for s in scores)])[:count] for n, e in fields.items()}

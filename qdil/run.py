@@ -52,13 +52,13 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     Raises ConfigError before anything compiles: demonstrations missing or unusable, or a finished run of another
     configuration in the folder.
     """
+    imitates = parse_method(config.method).base != "true"
+    demos_file = (demos_file or demos_path(config.budget, config.env, config.demo_episodes)) if imitates else None
     if is_finished(folder):
-        if json.loads((folder / "config.json").read_text()) != to_json(config):
-            raise ConfigError(f"{folder} holds a finished run with other settings; choose another --out or remove it.")
+        _check_finished(config, folder, demos_file)
         return False
     demos = None
-    if parse_method(config.method).base != "true":
-        demos_file = demos_file or demos_path(config.budget, config.env, config.demo_episodes)
+    if demos_file:
         try:
             demos = demonstrations.load(demos_file, config.env, config.backend)
         except ValueError as error:
@@ -71,8 +71,18 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     begun = {"commit": commit(), "start": datetime.now(UTC).isoformat(timespec="seconds")}
     search = _iterations(search, folder, report)
     _write_archive(search, folder)
-    _write_manifest(search, folder, begun, demos_file if demos is not None else None)
+    _write_manifest(search, folder, begun, demos_file)
     return True
+
+
+def _check_finished(config: Config, folder: Path, demos_file: Path | None) -> None:
+    """Raise ConfigError unless the finished run in ``folder`` is the one asked for."""
+    advice = "choose another --out, or remove the folder to train anew"
+    if json.loads((folder / "config.json").read_text()) != to_json(config):
+        raise ConfigError(f"{folder} holds a finished run with other settings; {advice}.")
+    trained_on = json.loads((folder / "manifest.json").read_text())["demonstrations_sha256"]
+    if demos_file and demos_file.is_file() and trained_on != sha256(demos_file):
+        raise ConfigError(f"{folder} holds a finished run on other demonstrations than {demos_file}; {advice}.")
 
 
 def _iterations(search: ppga.Search, folder: Path, report: Report | None) -> ppga.Search:
@@ -154,7 +164,7 @@ def read_archive(folder: Path, policies: bool = False) -> dict[str, np.ndarray]:
     content: dict[str, np.ndarray] = {}
     for name in names:
         if not (folder / name).is_file():
-            raise ConfigError(f"{folder} has no {name}: train that run on this machine to get it.")
+            raise ConfigError(f"{folder} has no {name}: remove the folder and train it on this machine to get it.")
         with np.load(folder / name, allow_pickle=False) as file:
             content.update({key: file[key] for key in file.files})
     return content

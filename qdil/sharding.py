@@ -26,7 +26,10 @@ def choose_num_devices(requested: int, *counts: int) -> int:
         raise ValueError(f"devices={requested} was asked for, but this process has {available}.")
     for count in counts:
         if count % requested:
-            raise ValueError(f"devices={requested} does not divide {count} environments or episodes evenly.")
+            raise ValueError(
+                f"devices={requested} must divide the robots of each VPPO copy (num_envs/3) and the candidates, "
+                f"here {' and '.join(map(str, counts))}."
+            )
     return requested
 
 

@@ -1,5 +1,7 @@
 """PPGA on real physics at a tiny size: PPO improves, nothing compiles twice, Algorithm 1's steps do what they say."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from qdil import ppga
 from qdil.config import make_config
+from qdil.imitation.reward_model import Demonstrations
 from qdil.search import archive, networks
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -26,19 +29,117 @@ def compilations():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
+def begun(method: str) -> ppga.Search:
+    """A smoke run after its warm-up and first iteration; imitators learn from made-up demonstrations."""
+    config = make_config("walker2d", method, "smoke")
+    rng = np.random.default_rng(0)
+    shapes = {"obs": 17, "action": 6, "next_obs": 17, "proxy": 2}
+    demos = Demonstrations(*(jnp.asarray(rng.normal(size=(60, width)), jnp.float32) for width in shapes.values()))
+    search = ppga.begin(config, None if method == "true" else demos)
+    search, _ = ppga.warm_up(search, config.warmup_updates)
+    return ppga.iteration(search)[0]
+
+
 @pytest.fixture(scope="module")
 def search():
-    """Two iterations into a smoke run of the expert."""
-    search = ppga.begin(make_config("walker2d", "true", "smoke"), None)
+    return begun("true")
+
+
+@pytest.fixture(scope="module")
+def imitator():
+    return begun("mconbo-gail")
+
+
+@pytest.mark.parametrize("name", ["search", "imitator"])
+def test_no_compilation_after_the_first_iteration(name, request, compilations, monkeypatch):
+    search = request.getfixturevalue(name)
+    key = jax.random.key(0)
+    compilations.clear()
+    search, _ = ppga.warm_up(search, 2)
     for _ in range(2):
         search, _ = ppga.iteration(search)
-    return search
-
-
-def test_no_compilation_after_the_first_iteration(search, compilations):
-    for _ in range(3):
-        search, _ = ppga.iteration(search)
+    with monkeypatch.context() as patch:  # an iteration that restarts
+        patch.setattr(archive, "add", lambda archives, candidates: np.zeros(len(candidates.fitness)))
+        search, info = ppga.iteration(search)
+    assert info["restarts"] == 1
+    ppga.evaluate(search, ppga.batch_of_elites(search, 0), key)
     assert compilations == []
+
+
+def spied(search: ppga.Search) -> tuple[ppga.Search, list]:
+    """The same run, keeping a list of what VPPO is asked for."""
+    calls = []
+
+    def train(state, occupied, weights, tied, num_updates, epochs):
+        calls.append((state, np.asarray(occupied), np.asarray(weights), tied, num_updates, epochs))
+        return search.compiled.train(state, occupied, weights, tied, num_updates, epochs)
+
+    return search._replace(compiled=search.compiled._replace(train=train)), calls
+
+
+def test_an_iteration_asks_for_gradients_walk_and_fresh_rollouts_in_that_order(imitator):
+    watched, calls = spied(imitator)
+    before = archive.occupied(imitator.archives)
+    after, info = ppga.iteration(watched)
+    gradients, walk, fresh = calls
+    np.testing.assert_array_equal(gradients[2], np.eye(3))
+    assert gradients[3:] == (False, 1, 2) and walk[3:] == (True, 1, 2) and fresh[3:] == (True, 1, 0)
+    # The copies' learning is thrown away: the walk begins at the very θ_μ and critic that the gradients began at.
+    for one, other in zip(jax.tree.leaves(gradients[0].learner), jax.tree.leaves(walk[0].learner), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(gradients[1], before)
+    np.testing.assert_array_equal(walk[1], archive.occupied(imitator.archives))
+    weighting = [info["c0"], info["c1"], info["c2"]]
+    np.testing.assert_allclose(walk[2], np.tile(weighting, (3, 1)), rtol=1e-6)
+    if not info["restarts"]:
+        np.testing.assert_allclose(np.abs(weighting), np.abs(imitator.xnes.mean), rtol=1e-5)
+    assert info["c0"] >= 0
+
+
+@pytest.mark.parametrize("added", [True, False])
+def test_restart_exactly_when_nothing_was_added(search, monkeypatch, added):
+    improvement = np.arange(search.config.candidates) * float(added)
+    monkeypatch.setattr(archive, "add", lambda archives, candidates: improvement)
+    after, info = ppga.iteration(search)
+    assert info["restarts"] == float(not added)
+    theta = np.asarray(networks.flatten(after.state.learner.policy))
+    is_elite = (archive.elite_arrays(search.archives)["solution"] == theta).all(axis=1).any()
+    assert is_elite == (not added)
+    assert np.any(search.xnes.mean) == added
+
+
+def test_the_bonus_is_paid_while_training_and_depends_on_the_archive(imitator):
+    """Same robots, same reward model: an empty archive pays q more per step than a full one."""
+    shape = archive.occupied(imitator.archives).shape
+    rewards = [
+        float(
+            imitator.compiled.train(imitator.state, jnp.full(shape, full), jnp.eye(3), True, 1, 0).info[
+                "fitness_reward"
+            ]
+        )
+        for full in (False, True)
+    ]
+    assert rewards[0] - rewards[1] == pytest.approx(imitator.config.bonus_q, abs=1e-4)
+    assert rewards[1] > imitator.config.bonus_p  # GAIL's own reward is positive
+
+
+def test_selection_decides_what_fills_the_archive(imitator):
+    batch, key = ppga.batch_of_elites(imitator, 0), jax.random.key(2)
+    learned = ppga.evaluate(imitator, batch, key)
+    true = ppga.evaluate(imitator._replace(config=replace(imitator.config, selection="true")), batch, key)
+    np.testing.assert_array_equal(true.fitness, true.true_return)
+    np.testing.assert_array_equal(true.true_return, learned.true_return)
+    assert not np.allclose(learned.fitness, learned.true_return)
+    bonus = ppga.evaluate(imitator._replace(config=replace(imitator.config, bonus_in_fitness=True)), batch, key)
+    assert (bonus.fitness >= learned.fitness + imitator.config.bonus_p * learned.length - 1e-3).all()
+
+
+def test_before_anything_is_accepted_the_walk_follows_fitness_alone():
+    config = make_config("walker2d", "true", "smoke", threshold_min=1e9)
+    watched, calls = spied(ppga.begin(config, None))
+    after, info = ppga.iteration(watched)
+    np.testing.assert_array_equal(calls[1][2], np.tile([1.0, 0, 0], (3, 1)))
+    assert info["restarts"] == 1 and archive.random_elite(after.archives, after.rng) is None
 
 
 def test_ppo_on_the_true_reward_improves(search):

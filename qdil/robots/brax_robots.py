@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from qdil.robots.environment import Environment, Outcome, RobotState
 
+DIVERGED = 1e6  # an observation or reward this large is no robot's: physics about to become infinite
 BACKENDS = ("spring", "positional", "generalized", "mjx")
 
 
@@ -88,8 +89,8 @@ def make(name: str, backend: str = "spring") -> Environment:
         zero = jnp.zeros(())
         before = State(state.physics, state.obs, zero, zero, {m: zero for m in metric_names})
         after = env.step(before, jnp.clip(action, -1.0, 1.0))
-        # A diverged robot ends its episode there; its last finite observation stands in for the lost one.
-        finite = jnp.all(jnp.isfinite(after.obs)) & jnp.isfinite(after.reward)
+        # A diverged robot ends its episode there; its last sound observation stands in for the lost one.
+        finite = jnp.all(jnp.abs(after.obs) < DIVERGED) & (jnp.abs(after.reward) < DIVERGED)  # False for NaN too
         obs = jnp.where(finite, after.obs, state.obs)
         outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
         return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome

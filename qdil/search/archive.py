@@ -54,7 +54,7 @@ def add(archives: Archives, candidates: Candidates) -> np.ndarray:
     Δ_i = f_i − t_e where the candidate was accepted by the soft archive, else 0.
     """
     improvement = np.zeros(len(candidates.fitness))
-    ok = np.flatnonzero(candidates.finite & np.isfinite(candidates.fitness))
+    ok = np.flatnonzero(candidates.finite & np.isfinite(candidates.fitness) & np.isfinite(candidates.true_return))
     if len(ok) == 0:
         return improvement
     good = Candidates(*(field[ok] for field in candidates))
@@ -73,11 +73,15 @@ def occupied(archives: Archives) -> np.ndarray:
 
 
 def random_elite(archives: Archives, rng: np.random.Generator) -> dict[str, np.ndarray] | None:
-    """One elite drawn evenly from the filled cells, or None from an empty archive."""
+    """The elite of a cell drawn evenly from those that the soft archive has accepted; None before the first.
+
+    Elites below ``threshold_min`` are in the result archive alone and no place to start from.
+    """
     elites = elite_arrays(archives)
-    if len(elites["index"]) == 0:
+    rows = np.flatnonzero(np.isin(elites["index"], archives.soft.data("index")))
+    if len(rows) == 0:
         return None
-    row = rng.integers(len(elites["index"]))
+    row = rows[rng.integers(len(rows))]
     return {name: values[row] for name, values in elites.items()}
 
 

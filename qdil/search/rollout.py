@@ -46,6 +46,8 @@ def window(
 ) -> tuple[Actors, Transitions, Choice]:
     """Drive every robot for ``length`` steps, starting a new random episode wherever one ends.
 
+    A robot that falls more than ``RESET_POOL`` times within one window meets its own start states again.
+
     A fall is ``terminated``, the ``episode_length``-th step is ``truncated``. ``next_obs`` is the episode's own
     last observation, not the reset one. Returns the robots as they are then and (length, E) transitions.
     """
