@@ -1,6 +1,6 @@
 """PPGA with MConbo-IRL: Algorithm 1 of the paper, one QD iteration a page."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -147,8 +147,8 @@ def batch_of_elites(search: Search, first: int) -> Policies:
     """λ elites from row ``first`` on, on the devices; the last one fills up a batch that would be too short."""
     elites = archive.elite_arrays(search.archives)
     rows = np.minimum(np.arange(first, first + search.config.candidates), len(elites["index"]) - 1)
-    solution, obs_mean, obs_std = (jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std"))
-    return search.compiled.place(Policies(solution, obs_mean, obs_std))
+    fields: Any = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
+    return search.compiled.place(Policies(*fields))
 
 
 def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:

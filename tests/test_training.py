@@ -53,7 +53,6 @@ def imitator():
 @pytest.mark.parametrize("name", ["search", "imitator"])
 def test_no_compilation_after_the_first_iteration(name, request, compilations, monkeypatch):
     search = request.getfixturevalue(name)
-    key = jax.random.key(0)
     compilations.clear()
     search, _ = ppga.warm_up(search, 2)
     for _ in range(2):
@@ -62,7 +61,7 @@ def test_no_compilation_after_the_first_iteration(name, request, compilations, m
         patch.setattr(archive, "add", lambda archives, candidates: np.zeros(len(candidates.fitness)))
         search, info = ppga.iteration(search)
     assert info["restarts"] == 1
-    ppga.evaluate(search, ppga.batch_of_elites(search, 0), key)
+    ppga.evaluate(search, ppga.batch_of_elites(search, 0), search.state.key)
     assert compilations == []
 
 
@@ -143,22 +142,18 @@ def test_before_anything_is_accepted_the_walk_follows_fitness_alone():
 
 
 def test_ppo_on_the_true_reward_improves(search):
-    """A few hundred tied updates on the fitness alone: the robot's return per episode clearly rises."""
-    compiled, config = search.compiled, search.config
+    """A few hundred tied updates on the fitness alone: the reward per step under π_θ clearly rises."""
+    compiled = search.compiled
     state = compiled.init(jax.random.key(3), None)
     occupied = jnp.asarray(archive.occupied(search.archives))
     weights = jnp.tile(jnp.array([1.0, 0.0, 0.0]), (3, 1))
-
-    def mean_return(state):
-        theta = jnp.tile(networks.flatten(state.learner.policy), (config.candidates, 1))
-        every = (config.candidates, compiled.parts.env.obs_size)
-        stats = jnp.broadcast_to(state.stats.mean, every), jnp.broadcast_to(state.stats.std, every)
-        policies = compiled.place(ppga.Policies(theta, *stats))
-        return ppga.evaluate(search._replace(state=state), policies, jax.random.key(9)).true_return.mean()
-
-    before = mean_return(state)
-    state = compiled.train(state, occupied, weights, True, 150, 4).state
-    assert mean_return(state) > 1.2 * before
+    rewards = []
+    for _ in range(2):
+        watched = compiled.train(state, occupied, weights, True, 1, 0)
+        rewards.append(float(watched.info["true_reward"]))
+        state = compiled.train(watched.state, occupied, weights, True, 300, 4).state
+    assert rewards[1] > rewards[0] + 0.3  # m/s, or shares of steps upright
+    print(rewards)
 
 
 def test_gradients_and_walk_share_one_program_and_differ_as_they_should(search):
