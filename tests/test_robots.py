@@ -65,14 +65,14 @@ def test_unknown_robot_or_backend_is_refused(name, backend):
 
 @pytest.fixture(scope="module")
 def driven():
-    """A window of walker2d under random torques, 8 robots, time limit 30 steps."""
+    """A window of walker2d, 8 robots, time limit 140 steps: half tremble and last, half push hard and fall."""
     env = brax_robots.make("walker2d")
 
     def act(key, obs):
         action = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1, maxval=1))(key)
-        return action, jnp.zeros(len(key))
+        return action.at[:4].set(1.0), jnp.zeros(len(key))
 
-    run = jax.jit(lambda key: window(env, act, start(env, key), 64, 30))
+    run = jax.jit(lambda key: window(env, act, start(env, key), 256, 140))
     _, transitions, _ = run(jax.random.split(jax.random.key(1), 8))
     return jax.tree.map(np.asarray, transitions)
 
@@ -89,7 +89,7 @@ def test_falls_and_time_limits_are_told_apart(driven):
 def test_every_reset_draws_its_own_start_state(driven):
     ended = driven.terminated | driven.truncated
     after_reset = driven.obs[1:][ended[:-1]]
-    assert len(after_reset) > 8
+    assert len(after_reset) >= 8
     assert len(np.unique(after_reset.round(6), axis=0)) == len(after_reset)
 
 
