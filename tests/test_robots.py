@@ -65,14 +65,14 @@ def test_unknown_robot_or_backend_is_refused(name, backend):
 
 @pytest.fixture(scope="module")
 def driven():
-    """A window of walker2d, 8 robots, time limit 140 steps: half tremble and last, half push hard and fall."""
+    """A window of walker2d, 8 robots, time limit 140 steps: half tremble and last, half pull their legs in and fall."""
     env = brax_robots.make("walker2d")
 
     def act(key, obs):
         action = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1, maxval=1))(key)
-        return action.at[:4].set(1.0), jnp.zeros(len(key))
+        return action.at[:4].set(-1.0), jnp.zeros(len(key))
 
-    run = jax.jit(lambda key: window(env, act, start(env, key), 256, 140))
+    run = jax.jit(lambda key: window(env, act, start(env, key), 150, 140))
     _, transitions, _ = run(jax.random.split(jax.random.key(1), 8))
     return jax.tree.map(np.asarray, transitions)
 
