@@ -83,12 +83,12 @@ def policy_like(config: Config, env: Environment) -> Params:
 
 
 def init(parts: Parts, key: jax.Array, demos: Demonstrations | None) -> State:
-    """θ_0, a fresh critic and reward model, and every robot at the beginning of an episode."""
+    """θ_0, a fresh critic and reward model, and robots at the beginning of episodes."""
     config, env = parts.config, parts.env
     key, policy_key, critic_key, reward_key, actor_key = jax.random.split(key, 5)
     critic = networks.init_mlp(critic_key, (env.obs_size, *config.critic_hidden, parts.streams))
     learner = vppo.init_learner(parts.settings, _policy(policy_key, config, env), critic, parts.streams)
-    actors = start(env, jax.random.split(actor_key, config.num_envs))
+    actors = start(env, jax.random.split(actor_key, config.num_envs), config.episode_length, in_step=False)
     reward = parts.model.init(reward_key, demos)
     carry = parts.model.begin(reward, config.num_envs)
     return State(key, learner, init_obs_stats(env.obs_size), actors, reward, carry)

@@ -65,7 +65,7 @@ def episode_by_hand(policies, i, position):
 
 def test_scores_equal_a_plain_loop_over_every_episode(policies, keys):
     scores = scored(counter(BOUND), policies, keys)
-    starts = np.asarray(start(counter(BOUND), keys.reshape(-1)).robot.physics).reshape(CANDIDATES, EPISODES)
+    starts = np.asarray(start(counter(BOUND), keys.reshape(-1), 1).robot.physics).reshape(CANDIDATES, EPISODES)
     lengths = []
     for i in range(CANDIDATES):
         episodes = [episode_by_hand(policies, i, float(starts[i, n])) for n in range(EPISODES)]

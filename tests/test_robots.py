@@ -72,7 +72,7 @@ def driven():
         action = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1, maxval=1))(key)
         return action.at[:4].set(-1.0), jnp.zeros(len(key))
 
-    run = jax.jit(lambda key: window(env, act, start(env, key), 150, 140))
+    run = jax.jit(lambda key: window(env, act, start(env, key, 140), 150, 140))
     _, transitions, _ = run(jax.random.split(jax.random.key(1), 8))
     return jax.tree.map(np.asarray, transitions)
 

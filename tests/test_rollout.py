@@ -22,7 +22,7 @@ def two_windows():
     """Two consecutive windows of the counter, joined along time, as NumPy arrays; and each window's first action."""
     env = counter(BOUND)
     drive = jax.jit(lambda actors: window(env, push_randomly, actors, LENGTH, LIMIT))
-    actors = start(env, jax.random.split(jax.random.key(0), ENVS))
+    actors = start(env, jax.random.split(jax.random.key(0), ENVS), LIMIT)
     actors, *first = drive(actors)
     actors, *second = drive(actors)
     join = jax.tree.map(lambda a, b: np.concatenate([a, b]), first, second)
@@ -75,6 +75,19 @@ def test_a_robots_future_does_not_depend_on_its_neighbours():
     env = counter(BOUND)
     keys = jax.random.split(jax.random.key(1), 4)
     order = jnp.array([2, 0, 3, 1])
-    run = jax.jit(lambda k: window(env, push_randomly, start(env, k), LENGTH, LIMIT))
+    run = jax.jit(lambda k: window(env, push_randomly, start(env, k, LIMIT), LENGTH, LIMIT))
     plain, permuted = run(keys)[1], run(keys[order])[1]
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[:, order], b), plain, permuted)
+
+
+def test_out_of_step_only_the_first_episode_is_cut_short():
+    def stay(key, obs):
+        return jnp.zeros((len(obs), 1)), obs[:, 0]
+
+    env, envs = counter(BOUND), 64
+    actors = start(env, jax.random.split(jax.random.key(3), envs), LIMIT, in_step=False)
+    _, steps, _ = jax.jit(lambda a: window(env, stay, a, 3 * LIMIT, LIMIT))(actors)
+    ends = [np.flatnonzero(steps.truncated[:, e]) for e in range(envs)]
+    assert {int(e[0]) + 1 for e in ends} == set(range(1, LIMIT + 1))
+    assert all((np.diff(e) == LIMIT).all() for e in ends)
+    assert not np.asarray(steps.terminated).any()

@@ -143,7 +143,12 @@ def compile_updates(settings=SETTINGS, num_devices=1, copies=K):
         policy = networks.init_policy(jax.random.key(0), 1, 1, (8,), 0.5)
         critic = networks.init_mlp(jax.random.key(1), (1, 8, K))
         learner = vppo.fork(vppo.init_learner(settings, policy, critic, K), copies)
-        return learner, init_obs_stats(1), start(env, jax.random.split(jax.random.key(2), ENVS)), ()
+        return (
+            learner,
+            init_obs_stats(1),
+            start(env, jax.random.split(jax.random.key(2), ENVS), settings.episode_length),
+            (),
+        )
 
     def run(state, num_updates, weights, tied, epochs):
         def once(state):

@@ -65,7 +65,7 @@ def record(
         return mean + noise * spread, jnp.zeros(len(key))
 
     keys = jax.random.split(key, len(elites["solution"]))
-    run = jax.jit(lambda k: window(env, act, start(env, k), episode_length, episode_length)[1])
+    run = jax.jit(lambda k: window(env, act, start(env, k, episode_length), episode_length, episode_length)[1])
     steps = jax.tree.map(np.asarray, run(keys))
     lengths = np.argmax(steps.ended, axis=0) + 1
     episodes = [

@@ -63,7 +63,7 @@ def evaluate(
     """
     candidates, episodes = key.shape
     params = jax.vmap(lambda t: networks.unflatten(t, like))(policies.theta)
-    actors = start(env, key.reshape(-1))
+    actors = start(env, key.reshape(-1), episode_length)
 
     def act(policy: Params, obs_mean: jax.Array, obs_std: jax.Array, key: jax.Array, obs: jax.Array) -> jax.Array:
         mean = networks.policy_mean(policy, stats._replace(mean=obs_mean, std=obs_std), obs)
@@ -73,7 +73,7 @@ def evaluate(
         return mean + noise * jnp.exp(policy["log_std"])
 
     def step(carry, _):
-        (robot, steps, proxy_sum, key), alive, finite = carry
+        (robot, steps, limit, proxy_sum, key), alive, finite = carry
         key, act_key = split_each(key)
         by_policy = (candidates, episodes)
         obs = robot.obs.reshape(*by_policy, -1)
@@ -81,7 +81,7 @@ def evaluate(
         action = jnp.clip(action.reshape(candidates * episodes, -1), -1.0, 1.0)
         after, outcome = jax.vmap(env.step)(robot, action)
         steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
-        truncated = (steps >= episode_length) & ~outcome.terminated
+        truncated = (steps >= limit) & ~outcome.terminated
         transition = Transitions(
             robot.obs, action, after.obs, robot.proxy, outcome.reward, outcome.terminated, truncated,
             proxy_sum / steps[:, None],
@@ -89,7 +89,7 @@ def evaluate(
         finite = finite & (outcome.finite | ~alive)
         still = alive & ~outcome.terminated & ~truncated
         frozen = where_each(still, after, robot)
-        return (Actors(frozen, steps, proxy_sum, key), still, finite), (transition, alive)
+        return (Actors(frozen, steps, limit, proxy_sum, key), still, finite), (transition, alive)
 
     def run_chunk(carry):
         actors, reward_carry, tally = carry

@@ -19,15 +19,24 @@ class Actors(NamedTuple):
 
     robot: RobotState
     steps: jax.Array  # (E,) int32 steps since the episode began
+    limit: jax.Array  # (E,) int32 steps at which the time limit ends the episode
     proxy_sum: jax.Array  # (E, k) sum of δ over those steps
     key: jax.Array  # (E,)
 
 
-def start(env: Environment, key: jax.Array) -> Actors:
-    """Begin one episode per key (E,)."""
+def start(env: Environment, key: jax.Array, episode_length: int, in_step: bool = True) -> Actors:
+    """Begin one episode of ``episode_length`` steps per key (E,).
+
+    With ``in_step`` False the first episodes have random limits instead, so that the robots of a training window are
+    in all parts of their episodes from then on; otherwise robots that never fall would go through them together.
+    """
     key, reset_key = split_each(key)
     robot = jax.vmap(env.reset)(reset_key)
-    return Actors(robot, jnp.zeros(key.shape, jnp.int32), jnp.zeros_like(robot.proxy), key)
+    limit = jnp.full(key.shape, episode_length, jnp.int32)
+    if not in_step:
+        key, limit_key = split_each(key)
+        limit = jax.vmap(lambda k: jax.random.randint(k, (), 1, episode_length + 1))(limit_key)
+    return Actors(robot, jnp.zeros(key.shape, jnp.int32), limit, jnp.zeros_like(robot.proxy), key)
 
 
 def split_each(key: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -48,8 +57,9 @@ def window(
 
     A robot that falls more than ``RESET_POOL`` times within one window meets its own start states again.
 
-    A fall is ``terminated``, the ``episode_length``-th step is ``truncated``. ``next_obs`` is the episode's own
-    last observation, not the reset one. Returns the robots as they are then and (length, E) transitions.
+    A fall is ``terminated``, the step of a robot's time limit ``truncated``; new episodes may last ``episode_length``
+    steps. ``next_obs`` is the episode's own last observation, not the reset one. Returns the robots as they are then
+    and (length, E) transitions.
     """
     key, pool_key = split_each(actors.key)
     pool_keys = jax.vmap(lambda k: jax.random.split(k, RESET_POOL))(pool_key)
@@ -58,12 +68,12 @@ def window(
     resets = jnp.zeros(actors.steps.shape, jnp.int32)
 
     def step(carry, _):
-        (robot, steps, proxy_sum, key), resets = carry
+        (robot, steps, limit, proxy_sum, key), resets = carry
         key, act_key = split_each(key)
         raw_action, log_prob = act(act_key, robot.obs)
         after, outcome = jax.vmap(env.step)(robot, raw_action)
         steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
-        truncated = (steps >= episode_length) & ~outcome.terminated
+        truncated = (steps >= limit) & ~outcome.terminated
         ended = outcome.terminated | truncated
         transition = Transitions(
             robot.obs,
@@ -77,7 +87,11 @@ def window(
         )
         fresh = jax.tree.map(lambda leaf: jax.vmap(lambda slots, i: slots[i % RESET_POOL])(leaf, resets), pool)
         actors = Actors(
-            where_each(ended, fresh, after), jnp.where(ended, 0, steps), jnp.where(ended[:, None], 0.0, proxy_sum), key
+            where_each(ended, fresh, after),
+            jnp.where(ended, 0, steps),
+            jnp.where(ended, episode_length, limit),
+            jnp.where(ended[:, None], 0.0, proxy_sum),
+            key,
         )
         return (actors, resets + ended), (transition, Choice(raw_action, log_prob))
 
