@@ -5,7 +5,8 @@ import os
 import sys
 from pathlib import Path
 
-from qdil.config import BUDGETS, ROBOTS, ConfigError, make_config, method_names, parse_settings, settings_help
+from qdil.config import BUDGETS, ROBOTS, ConfigError, make_config, parse_settings, settings_help
+from qdil.imitation.registry import describe, method_names
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -22,7 +23,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     train.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
-    train.add_argument("--method", required=True, help=f"one of {', '.join(method_names())}")
+    train.add_argument("--method", required=True, help="a method's name; 'qdil methods' lists them")
     _budget_and_seed(train)
     train.add_argument(
         "--demos", type=Path, metavar="FILE", help="demonstrations (default: results/BUDGET/ENV/demos-N.npz)"
@@ -55,6 +56,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     figures.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
     _budget_and_seed(figures)
+
+    commands.add_parser("methods", help="list all methods", description="List every method with a line each.")
 
     notebooks = commands.add_parser(
         "notebooks", help="execute the notebooks headlessly", description="Execute notebooks with papermill."
@@ -104,6 +107,13 @@ def _figures(args: argparse.Namespace) -> int:
     return 0
 
 
+def _methods(args: argparse.Namespace) -> int:
+    names = method_names()
+    for name in names:
+        print(f"{name:{max(map(len, names))}}  {describe(name)}")
+    return 0
+
+
 def _notebooks(args: argparse.Namespace) -> int:
     from qdil import notebooks
 
@@ -115,11 +125,14 @@ def _notebooks(args: argparse.Namespace) -> int:
     return 1 if failures else 0
 
 
+COMMANDS = {"train": _train, "demos": _demos, "figures": _figures, "methods": _methods, "notebooks": _notebooks}
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     args = _parser().parse_args(argv)
     try:
-        return {"train": _train, "demos": _demos, "figures": _figures, "notebooks": _notebooks}[args.command](args)
+        return COMMANDS[args.command](args)
     except ConfigError as error:
         print(f"qdil: {error}", file=sys.stderr)
         return 2

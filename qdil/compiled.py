@@ -1,21 +1,67 @@
-"""A run's phases, each compiled once and laid out over a mesh of devices."""
+"""A run's phases, each compiled once and laid out over a mesh of devices; and the loops over them.
 
-from functools import partial
+Two sets of programs: those of the search, which all methods with the same sizes share within a process (and, through
+the compilation cache, between processes), and those of one method's reward, which hold no simulation and compile fast.
+"""
+
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jax.sharding import PartitionSpec as P
 
 from qdil import phases
 from qdil.config import Config
-from qdil.phases import Parts, State, Trained
+from qdil.imitation.methods import reward_model
+from qdil.imitation.registry import parse_method
+from qdil.imitation.reward_model import Demonstrations, RewardModel
+from qdil.phases import Search, State, Trained
+from qdil.search import evaluate, vppo
+from qdil.search.evaluate import Episodes, Policies, Scores
 from qdil.sharding import AXIS, by_environment, choose_num_devices, make_mesh, replicated
+from qdil.types import RewardContext
+
+# The settings that the search's programs depend on.
+SEARCH_SETTINGS = (
+    "env", "backend", "candidates", "episodes", "sample_actions", "eval_chunk", "actor_hidden", "critic_hidden",
+    "initial_std", "num_envs", "window", "episode_length", "minibatches", "gamma", "gae_lambda", "clip", "value_coef",
+    "entropy_coef", "max_grad_norm", "learning_rate", "target_kl",
+)  # fmt: skip
+
+
+class SearchPrograms(NamedTuple):
+    """Compiled functions of ``qdil.phases`` and ``qdil.search`` that know nothing of rewards."""
+
+    search: Search
+    init: Any
+    fork: Any  # (learner) -> learner with K copies
+    collect: Any
+    learn: Any
+    unfork: Any
+    branch: Any
+    episodes: Episodes
+    jump: Any
+    place: Any  # a tree with axis (λ) in front, laid out over the devices as evaluation expects it
+
+
+class RewardPrograms(NamedTuple):
+    """Compiled functions of one method's reward."""
+
+    model: RewardModel
+    init: Any
+    begin: Any  # (reward) -> what it remembers of each of λ·n episodes
+    pay: Any
+    pay_episodes: Any
+    update: Any
 
 
 class Compiled(NamedTuple):
-    """The run's compiled functions (see ``qdil.phases`` for what each does) and what they were built around."""
+    """A run's compiled functions, in the form that Algorithm 1 asks for."""
 
-    parts: Parts
+    search: Search
+    model: RewardModel
     num_devices: int
     init: Any  # (key, demos) -> State
     train: Any  # (state, occupied, weights (K, 1+k), tied, num_updates, epochs) -> Trained
@@ -23,50 +69,153 @@ class Compiled(NamedTuple):
     score: Any  # (Policies, state, occupied, key (λ, n)) -> Scores
     update_reward: Any  # (state, occupied, demos, transitions) -> (State, info)
     jump: Any  # (state, theta (P,), obs mean, obs std) -> State at an elite
-    place: Any  # a tree with axis (λ) in front, laid out over the devices as ``score`` expects it
+    place: Any
 
 
 def compile_run(config: Config) -> Compiled:
     """Build every function of a run; each compiles when first called. Raises ConfigError or ValueError before that."""
     num_devices = choose_num_devices(config.devices, config.num_envs // 3, config.candidates)
-    parts = phases.assemble(config)
+    only_search = replace(Config(), **{name: getattr(config, name) for name in SEARCH_SETTINGS})
+    programs = search_programs(only_search, num_devices)
+    rewards = reward_programs(config, programs.search.env, num_devices)
+    return Compiled(
+        programs.search,
+        rewards.model,
+        num_devices,
+        init=partial(_init, programs, rewards),
+        train=partial(_train, programs, rewards, bonus_of(config)),
+        branch=lambda state, theta, c: programs.branch(state.learner.policy, state.stats, theta, c),
+        score=partial(_score, programs, rewards),
+        update_reward=partial(_update_reward, rewards),
+        jump=partial(_jump, programs),
+        place=programs.place,
+    )
+
+
+@lru_cache(maxsize=8)
+def search_programs(config: Config, num_devices: int) -> SearchPrograms:
+    """The search's programs for the ``SEARCH_SETTINGS`` of ``config``."""
+    search = phases.assemble(config)
     mesh = make_mesh(num_devices)
     whole, split = replicated(mesh), by_environment(mesh)
-    each: Any = P()  # a specification stands where arrays will be
-    in_state, of_state = _layout(P(), P(AXIS)), _layout(whole, split)
-    trained = Trained(in_state, each, P(None, AXIS), each)  # type: ignore[arg-type]
-    shard: dict[str, Any] = {"mesh": mesh, "check_vma": False}
-    train = jax.shard_map(
-        partial(phases.train, parts), in_specs=(in_state, each, each, each, each, each), out_specs=trained, **shard
-    )
-    score = jax.shard_map(
-        partial(phases.score, parts), in_specs=(P(AXIS), in_state, each, P(AXIS)), out_specs=P(AXIS), **shard
-    )
-    update_reward = jax.shard_map(
-        partial(_update_reward_everywhere, parts),
-        in_specs=(in_state, each, each, P(None, AXIS)),
-        out_specs=(in_state, each),
-        **shard,
-    )
-    return Compiled(
-        parts,
-        num_devices,
-        init=jax.jit(partial(phases.init, parts), out_shardings=of_state),
-        train=jax.jit(train),
+    shard = partial(_sharded, mesh)
+    window = P(None, AXIS)  # (T, E)
+    all_, each = P(), P(AXIS)
+    pieces = search.episodes
+    return SearchPrograms(
+        search,
+        init=jax.jit(partial(phases.init, search), out_shardings=(whole, whole, split)),
+        fork=jax.jit(partial(vppo.fork, copies=search.streams), out_shardings=whole),
+        collect=shard(partial(vppo.collect, search.env, search.settings), (all_, all_, each), (each, window, window)),
+        learn=shard(
+            partial(vppo.learn, search.settings),
+            (all_, all_, each, window, window, window, all_, all_, all_),
+            (all_, all_, each, all_),
+        ),
+        unfork=jax.jit(phases.unfork, out_shardings=whole),
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
-        score=jax.jit(score),
-        update_reward=jax.jit(update_reward),
-        jump=jax.jit(partial(phases.jump, parts), out_shardings=of_state),
+        episodes=Episodes(
+            shard(pieces.begin, (each,), each),
+            shard(pieces.advance, (each, each, each), (each, each, window, window)),
+            shard(pieces.finish, (each, each), each),
+        ),
+        jump=jax.jit(partial(phases.jump, search), out_shardings=whole),
         place=lambda tree: jax.device_put(tree, split),
     )
 
 
-def _update_reward_everywhere(parts: Parts, state: State, occupied: Any, demos: Any, transitions: Any) -> Any:
-    """Every device learns the same reward model from all robots' steps: one exchange of data, then none."""
-    everyones = jax.tree.map(lambda x: jax.lax.all_gather(x, AXIS, axis=1, tiled=True), transitions)
-    return phases.update_reward(parts, state, occupied, demos, everyones)
+def reward_programs(config: Config, env: Any, num_devices: int) -> RewardPrograms:
+    """The programs of the reward that ``config.method`` names."""
+    model = reward_model(config, env)
+    mesh = make_mesh(num_devices)
+    whole, split = replicated(mesh), by_environment(mesh)
+    shard = partial(_sharded, mesh)
+    window = P(None, AXIS)
+    all_, each = P(), P(AXIS)
+
+    def update(key: jax.Array, reward: Any, context: RewardContext, demos: Any, transitions: Any) -> Any:
+        """Every device learns the same reward model from all robots' steps: one exchange of data, then none."""
+        everyones = jax.tree.map(lambda x: jax.lax.all_gather(x, AXIS, axis=1, tiled=True), transitions)
+        return phases.update_reward(model, key, reward, context, demos, everyones)
+
+    return RewardPrograms(
+        model,
+        init=jax.jit(partial(phases.init_reward, model, num_envs=config.num_envs), out_shardings=(whole, split)),
+        begin=jax.jit(lambda reward: model.begin(reward, config.candidates * config.episodes), out_shardings=split),
+        pay=shard(partial(phases.pay, model, config.bonus_scope), (all_, each, all_, all_, window), (each, window)),
+        pay_episodes=shard(partial(phases.pay_episodes, model), (all_, each, all_, window, window), (each, each)),
+        update=shard(update, (all_, all_, all_, all_, window), all_),
+    )
 
 
-def _layout(whole: Any, split: Any) -> Any:
-    """How each part of ``State`` lies on the devices: robots and what goes with them split, the rest whole."""
-    return State(key=whole, learner=whole, stats=whole, actors=split, reward=whole, reward_carry=split)
+def _sharded(mesh: Any, function: Any, in_specs: Any, out_specs: Any) -> Any:
+    """``function`` compiled to run on every device of ``mesh`` with its share of what is split."""
+    return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False))
+
+
+def bonus_of(config: Config) -> tuple[float, float]:
+    """(p, q) of eq. 2, zeros for a method without the bonus."""
+    return (config.bonus_p, config.bonus_q) if parse_method(config.method).bonus else (0.0, 0.0)
+
+
+def _init(programs: SearchPrograms, rewards: RewardPrograms, key: jax.Array, demos: Demonstrations | None) -> State:
+    key, search_key, reward_key = jax.random.split(key, 3)
+    learner, stats, actors = programs.init(search_key)
+    return State(key, learner, stats, actors, *rewards.init(reward_key, demos))
+
+
+def _train(
+    programs: SearchPrograms,
+    rewards: RewardPrograms,
+    bonus: tuple[float, float],
+    state: State,
+    occupied: jax.Array,
+    weights: jax.Array,
+    tied: bool,
+    num_updates: int,
+    epochs: int,
+) -> Trained:
+    """``num_updates`` ≥ 1 VPPO updates of K copies of θ_μ (Algorithm 1, lines 4 and 17); copy 0 is kept as learner.
+
+    ``weights`` (K, 1+k), ``tied`` and ``epochs`` as in ``vppo.learn``. The bonus reads the archive cells ``occupied``.
+    """
+    how = weights, jnp.asarray(tied, bool), jnp.asarray(epochs, jnp.int32)
+    paid = jnp.asarray(bonus, jnp.float32)
+    learner, stats, actors, carry = programs.fork(state.learner), state.stats, state.actors, state.reward_carry
+    for _ in range(num_updates):
+        actors, transitions, choice = programs.collect(learner, stats, actors)
+        carry, fitness = rewards.pay(state.reward, carry, RewardContext(stats, occupied), paid, transitions)
+        learner, stats, actors, info = programs.learn(learner, stats, actors, transitions, choice, fitness, *how)
+    first, theta = programs.unfork(learner)
+    return Trained(State(state.key, first, stats, actors, state.reward, carry), theta, transitions, info)
+
+
+def _score(
+    programs: SearchPrograms,
+    rewards: RewardPrograms,
+    policies: Policies,
+    state: State,
+    occupied: jax.Array,
+    key: jax.Array,
+) -> Scores:
+    """Whole episodes of λ policies, scored by the reward model as it is now."""
+    context = RewardContext(state.stats, occupied)
+
+    def pay(carry: Any, transitions: Any, counted: jax.Array) -> Any:
+        return rewards.pay_episodes(state.reward, carry, context, transitions, counted)
+
+    return evaluate.run(programs.episodes, pay, policies, rewards.begin(state.reward), key)
+
+
+def _update_reward(
+    rewards: RewardPrograms, state: State, occupied: jax.Array, demos: Any, transitions: Any
+) -> tuple[State, dict[str, jax.Array]]:
+    key, update_key = jax.random.split(state.key)
+    context = RewardContext(state.stats, occupied)
+    reward, info = rewards.update(update_key, state.reward, context, demos, transitions)
+    return state._replace(key=key, reward=reward), info
+
+
+def _jump(programs: SearchPrograms, state: State, theta: Any, obs_mean: Any, obs_std: Any) -> State:
+    learner, stats = programs.jump(state.learner, state.stats, theta, obs_mean, obs_std)
+    return state._replace(learner=learner, stats=stats)

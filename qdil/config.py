@@ -5,28 +5,17 @@ import inspect
 import math
 import re
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
+
+from qdil.errors import ConfigError
+from qdil.imitation.registry import bases, parse_method
 
 BUDGETS = ("smoke", "laptop", "full")
 ROBOTS = ("halfcheetah", "walker2d", "humanoid")
 BACKENDS = ("spring", "positional", "generalized", "mjx")
-BASES = ("true", "gail")
-PREFIXES = {"": (False, False), "mcond-": (True, False), "mbo-": (False, True), "mconbo-": (True, True)}
-
+PROTOCOLS = ("paper", "released")
 
 IDENTITY = ("env", "method", "budget", "seed")  # what names a run; these have options of their own, not --set
-
-
-class ConfigError(ValueError):
-    """A setting that cannot be used; the message is one sentence a person can act on."""
-
-
-class Method(NamedTuple):
-    """A method name taken apart."""
-
-    base: str  # which reward model
-    conditioned: bool  # δ(s) among the reward model's inputs (eq. 3)
-    bonus: bool  # measure bonus added to the reward that VPPO maximises (eq. 2)
 
 
 @dataclass(frozen=True)
@@ -53,6 +42,7 @@ class Config:
     archive_learning_rate: float = 0.5  # α of the soft archive, 0 < α ≤ 1 (authors: 0.5; humanoid 0.1)
     threshold_min: float = 200.0  # soft archive's threshold of an empty cell, return units (authors)
     selection: str = "learned"  # which return fills the archive: "learned" (Definition 1) or "true" (released program)
+    walk_weights: str = "xnes"  # the walk's reward: weighted by "xnes" (Algorithm 1) or "fitness" alone (released)
     sample_actions: bool = True  # candidates and demonstrators act by samples of π_θ (True) or by its mean
     eval_chunk: int = 50  # steps between checks whether all evaluated robots have finished
 
@@ -74,16 +64,33 @@ class Config:
     learning_rate: float = 1e-3  # Adam (authors: 1e-3; humanoid 3e-4)
     target_kl: float = 0.008  # nats; a copy stops its epochs beyond it (authors)
 
-    # Reward model and bonus
+    # Bonus and demonstrations
+    protocol: str = "paper"  # "paper", or "released": that program's choices wherever a setting of this list has them
     demo_episodes: int = 4  # demonstrations (paper, section 5.2)
+    expert_alignment: str = "aligned"  # (s_t, a_t), or "shifted" (released): (s_{t+1+j}, a_t), j = 0-19 per episode
+    expert_obs: str = "normalised"  # as policy observations are, or "raw" (released program)
+    bonus_scope: str = "episode"  # the bonus reads the measure of a step's "episode" or of its "window" (released)
     bonus_p: float = 0.5  # p of eq. 2, reward per step (paper)
     bonus_q: float = 0.5  # q of eq. 2, reward per step (paper; its own study prefers 1)
     bonus_in_fitness: bool = False  # add the bonus to the fitness that fills the archive too
-    reward_hidden: tuple[int, ...] = (100, 100)  # discriminator's tanh layers (paper, Table 5)
+
+    # Reward models
+    reward_hidden: tuple[int, ...] = (100, 100)  # tanh layers of every reward network (paper, Table 5)
     reward_learning_rate: float = 3e-4  # Adam (paper, Table 5)
     reward_steps: int = 100  # discriminator steps per QD iteration (ours)
     reward_batch: int = 512  # expert rows, and as many policy rows, per discriminator step (ours)
-    gradient_penalty: float = 10.0  # weight λ of the penalty (authors)
+    gradient_penalty: float = 10.0  # weight λ of GAIL's and VAIL's penalty (authors; the paper does not mention it)
+    penalty_mixing: str = "sample"  # penalty's mixing weight per "sample" (Gulrajani et al.) or "element" (released)
+    vail_beta: str = "adaptive"  # dual ascent and a sampled latent (paper), or "fixed": 1 and the mean (released)
+    vail_information: float = 0.5  # I_c, nats that VAIL's bottleneck lets through (Peng et al., 2018)
+    vail_beta_rate: float = 1e-5  # dual ascent's step size (Peng et al., 2018)
+    vail_latent: int = 128  # size of VAIL's latent z (Peng et al., 2018)
+    giril_steps: int = 5000  # steps of GIRIL's training before the run (ours)
+    giril_learning_rate: float = 3e-4  # Adam (ours; as Table 5's)
+    giril_action_weight: float = 1.0  # α of eq. 9 (ours; the paper's Table 7 is lost)
+    pwil_alpha: float = 5.0  # largest reward per step (Dadashi et al., 2021)
+    pwil_beta: float = 5.0  # how fast the reward falls with the cost (Dadashi et al., 2021)
+    pwil_coupling: str = "episode"  # expert mass used up over an "episode", or restored each "step" (released program)
 
 
 LAPTOP: dict[str, Any] = {
@@ -127,6 +134,7 @@ SMOKE: dict[str, Any] = {
     "epochs": 2,
     "demo_episodes": 1,
     "reward_steps": 4,
+    "giril_steps": 200,
 }
 
 # What differs between robots, by budget.
@@ -143,20 +151,35 @@ PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
 }
 
 
-def parse_method(name: str) -> Method:
-    """Take a method name apart, e.g. ``mconbo-gail``. Raises ConfigError for a name that means nothing."""
-    for prefix in sorted(PREFIXES, key=len, reverse=True):
-        if name.startswith(prefix) and name[len(prefix) :] in BASES:
-            base, (conditioned, bonus) = name[len(prefix) :], PREFIXES[prefix]
-            if base == "true" and conditioned:
-                raise ConfigError(f"method '{name}': the true reward has no inputs to condition; use true or mbo-true.")
-            return Method(base, conditioned, bonus)
-    raise ConfigError(f"unknown method '{name}'; choose one of {', '.join(method_names())}.")
+# What the authors' released program does where the paper says otherwise (p and q: its shipped runners).
+RELEASED: dict[str, Any] = {
+    "selection": "true",
+    "walk_weights": "fitness",
+    "bonus_scope": "window",
+    "bonus_p": 0.0,
+    "bonus_q": 2.0,
+    "expert_alignment": "shifted",
+    "expert_obs": "raw",
+    "penalty_mixing": "element",
+    "vail_beta": "fixed",
+    "pwil_coupling": "step",
+}
 
+# An empty cell's threshold, return per step, where a reward may be negative: low enough that any first elite counts.
+SIGNED_THRESHOLD = -10.0
 
-def method_names() -> list[str]:
-    """All method names, plain ones first."""
-    return [p + b for b in BASES for p in PREFIXES if not (b == "true" and PREFIXES[p][0])]
+CHOICES = {
+    "backend": BACKENDS,
+    "selection": ("learned", "true"),
+    "walk_weights": ("xnes", "fitness"),
+    "protocol": PROTOCOLS,
+    "expert_alignment": ("aligned", "shifted"),
+    "expert_obs": ("normalised", "raw"),
+    "bonus_scope": ("episode", "window"),
+    "penalty_mixing": ("sample", "element"),
+    "vail_beta": ("adaptive", "fixed"),
+    "pwil_coupling": ("episode", "step"),
+}
 
 
 def make_config(env: str, method: str, budget: str, seed: int = 1, **changes: Any) -> Config:
@@ -168,13 +191,18 @@ def make_config(env: str, method: str, budget: str, seed: int = 1, **changes: An
         raise ConfigError(f"unknown budget '{budget}'; choose one of {', '.join(BUDGETS)}.")
     if env not in ROBOTS:
         raise ConfigError(f"unknown robot '{env}'; choose one of {', '.join(ROBOTS)}.")
-    base = parse_method(method).base
+    base = bases()[parse_method(method).base]
     unknown = [name for name in changes if name not in {f.name for f in fields(Config)}]
     if unknown:
         raise ConfigError(f"unknown setting '{unknown[0]}'; see 'qdil train --help' for their names.")
     chosen = {"smoke": SMOKE, "laptop": LAPTOP, "full": {}}[budget] | PER_ROBOT.get((budget, env), {})
-    if env == "halfcheetah" and base != "true" and budget == "full":
+    if env == "halfcheetah" and base.imitates and budget == "full":
         chosen = {**chosen, "threshold_min": -500.0}  # authors, with imitation rewards
+    if base.signed:
+        length = changes.get("episode_length", chosen.get("episode_length", Config.episode_length))
+        chosen = {**chosen, "threshold_min": SIGNED_THRESHOLD * length}
+    if changes.get("protocol") == "released":
+        chosen = {**chosen, **RELEASED}
     config = replace(Config(env=env, method=method, budget=budget, seed=seed), **(chosen | changes))
     check(config)
     return config
@@ -216,10 +244,15 @@ def _typed(kind: Any, text: str) -> Any:
 AT_LEAST_ONE = (
     "iterations", "gradient_updates", "walk_updates", "candidates", "episodes", "cells", "eval_chunk", "num_envs",
     "window", "episode_length", "minibatches", "epochs", "demo_episodes", "reward_steps", "reward_batch",
+    "vail_latent", "giril_steps",
 )  # fmt: skip
-POSITIVE = ("sigma0", "initial_std", "clip", "max_grad_norm", "learning_rate", "target_kl", "reward_learning_rate")
+POSITIVE = (
+    "sigma0", "initial_std", "clip", "max_grad_norm", "learning_rate", "target_kl", "reward_learning_rate",
+    "vail_beta_rate", "giril_learning_rate", "pwil_alpha", "pwil_beta",
+)  # fmt: skip
 NOT_NEGATIVE = (
     "seed", "devices", "warmup_updates", "value_coef", "entropy_coef", "bonus_p", "bonus_q", "gradient_penalty",
+    "vail_information", "giril_action_weight",
 )  # fmt: skip
 
 
@@ -240,8 +273,8 @@ def check(config: Config) -> None:
     for name in ("actor_hidden", "critic_hidden", "reward_hidden"):
         sizes = getattr(config, name)
         _require(len(sizes) > 0 and min(sizes) >= 1, config, name, "must be layer widths of at least 1")
-    _require(config.backend in BACKENDS, config, "backend", f"must be one of {', '.join(BACKENDS)}")
-    _require(config.selection in ("learned", "true"), config, "selection", "must be learned or true")
+    for name, choices in CHOICES.items():
+        _require(getattr(config, name) in choices, config, name, f"must be one of {', '.join(choices)}")
     _require(config.window % config.minibatches == 0, config, "minibatches", f"must divide window={config.window}")
     _require(config.num_envs % 3 == 0, config, "num_envs", "must divide by 3, the copies that VPPO trains (1 + k)")
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import pandas as pd
 
 from qdil import plotting, run
-from qdil.config import BASES, PREFIXES, ConfigError, make_config
+from qdil.config import ConfigError, make_config
 from qdil.files import replace_file
+from qdil.imitation.registry import method_names
 
 
 def finished_runs(env: str, budget: str, seed: int, root: Path) -> dict[str, Path]:
     """Folders of the finished runs of one robot, budget and seed, by method."""
-    names = [prefix + base for base in BASES for prefix in PREFIXES]
-    folders = {name: root / budget / env / name / f"seed-{seed}" for name in names}
+    folders = {name: root / budget / env / name / f"seed-{seed}" for name in method_names()}
     return {name: folder for name, folder in folders.items() if run.is_finished(folder)}
 
 

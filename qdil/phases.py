@@ -1,6 +1,7 @@
-"""The phases of a run as pure functions of its state: begin, train, branch, score, learn the reward, jump.
+"""The phases of a run as pure functions: begin, collect, pay, learn, branch, score, learn the reward, jump.
 
-``qdil.ppga`` puts them in the order of Algorithm 1; ``qdil.compiled`` compiles them for a mesh of devices.
+``qdil.ppga`` puts them in the order of Algorithm 1; ``qdil.compiled`` compiles them for a mesh of devices. Those that
+take ``Search`` know nothing of rewards, so that all methods share their compiled programs.
 """
 
 from typing import Any, NamedTuple
@@ -8,14 +9,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdil.config import Config, Method
+from qdil.config import Config
 from qdil.imitation.bonus import measure_bonus
-from qdil.imitation.methods import reward_model
 from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.robots import brax_robots
 from qdil.robots.environment import Environment
 from qdil.search import networks, vppo
-from qdil.search.evaluate import Policies, Scores, evaluate
+from qdil.search.evaluate import Episodes, Policies, episodes, paid_in
 from qdil.search.normalise import init_obs_stats
 from qdil.search.rollout import Actors, start
 from qdil.types import ObsStats, Params, RewardContext, Transitions
@@ -41,14 +41,13 @@ class Trained(NamedTuple):
     info: dict[str, jax.Array]
 
 
-class Parts(NamedTuple):
-    """What a run is made of and never changes."""
+class Search(NamedTuple):
+    """What searches for policies, whatever rewards them."""
 
     config: Config
     env: Environment
-    model: RewardModel
-    method: Method
     settings: vppo.Settings
+    episodes: Episodes
     like: Params  # a policy of zeros, for its structure
 
     @property
@@ -57,10 +56,13 @@ class Parts(NamedTuple):
         return 1 + len(self.env.measure_names)
 
 
-def assemble(config: Config) -> Parts:
-    """The parts that ``config`` names. Raises ConfigError or ValueError for what does not exist."""
+def assemble(config: Config) -> Search:
+    """The parts that ``config`` names. Raises ValueError for what does not exist."""
     env = brax_robots.make(config.env, config.backend)
-    return Parts(config, env, *reward_model(config, env), vppo_settings(config), policy_like(config, env))
+    like = policy_like(config, env)
+    c = config
+    scored = episodes(env, like, c.episodes, c.episode_length, c.eval_chunk, c.sample_actions)
+    return Search(config, env, vppo_settings(config), scored, like)
 
 
 def vppo_settings(config: Config) -> vppo.Settings:
@@ -82,99 +84,95 @@ def policy_like(config: Config, env: Environment) -> Params:
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
 
-def init(parts: Parts, key: jax.Array, demos: Demonstrations | None) -> State:
-    """θ_0, a fresh critic and reward model, and robots at the beginning of episodes."""
-    config, env = parts.config, parts.env
-    key, policy_key, critic_key, reward_key, actor_key = jax.random.split(key, 5)
-    critic = networks.init_mlp(critic_key, (env.obs_size, *config.critic_hidden, parts.streams))
-    learner = vppo.init_learner(parts.settings, _policy(policy_key, config, env), critic, parts.streams)
+def init(search: Search, key: jax.Array) -> tuple[vppo.Learner, ObsStats, Actors]:
+    """θ_0, a fresh critic, an empty normaliser, and robots at the beginning of episodes."""
+    config, env = search.config, search.env
+    policy_key, critic_key, actor_key = jax.random.split(key, 3)
+    critic = networks.init_mlp(critic_key, (env.obs_size, *config.critic_hidden, search.streams))
+    learner = vppo.init_learner(search.settings, _policy(policy_key, config, env), critic, search.streams)
     actors = start(env, jax.random.split(actor_key, config.num_envs), config.episode_length, in_step=False)
-    reward = parts.model.init(reward_key, demos)
-    carry = parts.model.begin(reward, config.num_envs)
-    return State(key, learner, init_obs_stats(env.obs_size), actors, reward, carry)
+    return learner, init_obs_stats(env.obs_size), actors
 
 
-def train(
-    parts: Parts,
-    state: State,
-    occupied: jax.Array,
-    weights: jax.Array,
-    tied: jax.Array,
-    num_updates: jax.Array,
-    epochs: jax.Array,
-) -> Trained:
-    """``num_updates`` VPPO updates of K copies of θ_μ (Algorithm 1, lines 4 and 17). Runs inside ``shard_map``.
+def init_reward(model: RewardModel, key: jax.Array, demos: Demonstrations | None, num_envs: int) -> tuple[Any, Any]:
+    """ψ_0, trained already where the model learns before the run, and what it remembers of each training robot."""
+    reward = model.init(key, demos)
+    return reward, model.begin(reward, num_envs)
 
-    The fitness reward is the model's, plus the measure bonus where the method has one (eq. 4), from the archive
-    cells ``occupied`` now. ``weights`` (K, 1+k) and ``tied`` as in ``vppo.update``; ``state.learner`` becomes copy 0.
+
+def pay(
+    model: RewardModel,
+    scope: str,
+    reward: Any,
+    carry: Any,
+    context: RewardContext,
+    bonus: jax.Array,
+    transitions: Transitions,
+) -> tuple[Any, jax.Array]:
+    """The fitness reward (T, E) of a training window: the model's, plus the measure bonus (eq. 4).
+
+    ``bonus`` is (p, q) of eq. 2, (0, 0) for methods without; ``scope`` as in ``measure_bonus``.
     """
-    config, model = parts.config, parts.model
-
-    def rewards(carry, stats, transitions):
-        carry, reward = model.reward(state.reward, carry, RewardContext(stats, occupied), transitions)
-        if parts.method.bonus:
-            reward = reward + measure_bonus(transitions, occupied, config.bonus_p, config.bonus_q)
-        return carry, reward
-
-    def one_update(learner, stats, actors, carry):
-        return vppo.update(parts.env, parts.settings, rewards, learner, stats, actors, carry, weights, tied, epochs)
-
-    begin = (vppo.fork(state.learner, parts.streams), state.stats, state.actors, state.reward_carry)
-    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(one_update, *begin)[4:])
-    out = jax.lax.fori_loop(0, num_updates, lambda _, now: one_update(*now[:4]), (*begin, *empty))
-    learner, stats, actors, carry, transitions, info = out
-    theta = jax.vmap(networks.flatten)(learner.policy)
-    first = jax.tree.map(lambda leaf: leaf[0], learner)
-    return Trained(State(state.key, first, stats, actors, state.reward, carry), theta, transitions, info)
+    carry, rewards = model.reward(reward, carry, context, transitions)
+    return carry, rewards + measure_bonus(transitions, context.occupied, bonus[0], bonus[1], scope)
 
 
-def branch(state: State, theta: jax.Array, coefficients: jax.Array) -> tuple[Policies, jax.Array]:
+def pay_episodes(
+    model: RewardModel,
+    reward: Any,
+    carry: Any,
+    context: RewardContext,
+    transitions: Transitions,
+    counted: jax.Array,
+) -> tuple[Any, jax.Array]:
+    """The reward model's own reward alone (Algorithm 1, line 11), summed over a chunk's counted steps: (E,)."""
+    carry, rewards = model.reward(reward, carry, context, transitions)
+    return carry, paid_in(rewards, counted)
+
+
+def unfork(learner: vppo.Learner) -> tuple[vppo.Learner, jax.Array]:
+    """Copy 0, and every copy's θ (K, P)."""
+    return jax.tree.map(lambda leaf: leaf[0], learner), jax.vmap(networks.flatten)(learner.policy)
+
+
+def branch(policy: Params, stats: ObsStats, theta: jax.Array, coefficients: jax.Array) -> tuple[Policies, jax.Array]:
     """Algorithm 1, lines 5-10: unit-length gradient rows, and the candidates θ_μ + |c_0| ∇f + Σ c_j ∇m_j.
 
-    ``theta`` (K, P) are the copies' parameters after N1 updates from θ_μ, ``coefficients`` (λ, 1+k) xNES' samples.
+    ``policy`` is θ_μ, ``theta`` (K, P) the copies after N1 updates from there, ``coefficients`` (λ, 1+k) xNES' samples.
     """
-    theta_mu = networks.flatten(state.learner.policy)
+    theta_mu = networks.flatten(policy)
     difference = theta - theta_mu
     jacobian = difference / jnp.maximum(jnp.linalg.norm(difference, axis=1, keepdims=True), 1e-12)
     signed = coefficients.at[:, 0].set(jnp.abs(coefficients[:, 0]))  # fitness is never minimised (section 4.1)
     candidates = theta_mu + signed @ jacobian
-    stats = state.stats
     every = (len(candidates), stats.mean.shape[0])
     return Policies(candidates, jnp.broadcast_to(stats.mean, every), jnp.broadcast_to(stats.std, every)), jacobian
 
 
-def score(parts: Parts, policies: Policies, state: State, occupied: jax.Array, key: jax.Array) -> Scores:
-    """Whole episodes of λ policies, ``key`` (λ, n), scored by the reward model alone (Algorithm 1, line 11)."""
-    config, model = parts.config, parts.model
-    carry = model.begin(state.reward, key.shape[0] * key.shape[1])
-
-    def rewards(carry, stats, transitions):
-        return model.reward(state.reward, carry, RewardContext(stats, occupied), transitions)
-
-    return evaluate(
-        parts.env, rewards, parts.like, policies, state.stats, carry, key,
-        config.episode_length, config.eval_chunk, config.sample_actions,
-    )  # fmt: skip
-
-
 def update_reward(
-    parts: Parts, state: State, occupied: jax.Array, demos: Demonstrations, transitions: Transitions
-) -> tuple[State, dict[str, jax.Array]]:
+    model: RewardModel,
+    key: jax.Array,
+    reward: Any,
+    context: RewardContext,
+    demos: Demonstrations,
+    transitions: Transitions,
+) -> tuple[Any, dict[str, jax.Array]]:
     """One round of the reward model's learning from demonstrations and fresh steps (Algorithm 1, line 18)."""
-    key, update_key = jax.random.split(state.key)
-    context = RewardContext(state.stats, occupied)
-    reward, info = parts.model.update(update_key, state.reward, context, demos, transitions)
-    return state._replace(key=key, reward=reward), info
+    return model.update(key, reward, context, demos, transitions)
 
 
-def jump(parts: Parts, state: State, theta: jax.Array, obs_mean: jax.Array, obs_std: jax.Array) -> State:
+def jump(
+    search: Search,
+    learner: vppo.Learner,
+    stats: ObsStats,
+    theta: jax.Array,
+    obs_mean: jax.Array,
+    obs_std: jax.Array,
+) -> tuple[vppo.Learner, ObsStats]:
     """θ_μ becomes an elite, with that elite's own observation statistics; optimisers start afresh, the critic stays.
 
     The statistics keep their weight of past data, so that the elite's normaliser moves no faster than before.
     """
-    opt, policy = vppo.optimiser(parts.settings), networks.unflatten(theta, parts.like)
-    learner = state.learner._replace(
-        policy=policy, policy_opt=opt.init(policy), critic_opt=opt.init(state.learner.critic)
-    )
-    stats = ObsStats(obs_mean, obs_std, jnp.square(obs_std) * state.stats.seen, state.stats.seen)
-    return state._replace(learner=learner, stats=stats)
+    opt, policy = vppo.optimiser(search.settings), networks.unflatten(theta, search.like)
+    learner = learner._replace(policy=policy, policy_opt=opt.init(policy), critic_opt=opt.init(learner.critic))
+    return learner, ObsStats(obs_mean, obs_std, jnp.square(obs_std) * stats.seen, stats.seen)

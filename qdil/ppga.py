@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdil.compiled import Compiled, compile_run
-from qdil.config import Config, parse_method
+from qdil.config import Config
 from qdil.imitation.bonus import is_empty
+from qdil.imitation.demos import check_fits
+from qdil.imitation.registry import parse_method
 from qdil.imitation.reward_model import Demonstrations
 from qdil.phases import State
 from qdil.search import archive, networks
@@ -32,8 +34,10 @@ class Search(NamedTuple):
 def begin(config: Config, demos: Demonstrations | None) -> Search:
     """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives."""
     compiled = compile_run(config)
-    k, obs_size = len(compiled.parts.env.measure_names), compiled.parts.env.obs_size
-    theta_size = networks.flat_size(compiled.parts.like)
+    if demos is not None:
+        check_fits(demos, compiled.search.env)
+    k, obs_size = len(compiled.search.env.measure_names), compiled.search.env.obs_size
+    theta_size = networks.flat_size(compiled.search.like)
     archives = archive.make(config.cells, k, theta_size, obs_size, config.archive_learning_rate, config.threshold_min)
     xnes_seed, elite_seed = np.random.SeedSequence(config.seed).spawn(2)
     xnes = XNES(config.sigma0, 1 + k, config.candidates, seed=xnes_seed)
@@ -46,7 +50,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     """One QD iteration, Algorithm 1, lines 4-22. Archives, xNES and the generator change in place."""
     config, compiled, archives, xnes, rng, demos, state = search
     occupied = jnp.asarray(archive.occupied(archives))
-    streams = compiled.parts.streams
+    streams = compiled.search.streams
 
     # Gradients (lines 4-5): copy i of θ_μ is trained on reward stream i alone.
     forked = compiled.train(state, occupied, jnp.eye(streams), False, config.gradient_updates, config.epochs)
@@ -67,14 +71,14 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     occupied = jnp.asarray(archive.occupied(archives))
     c_mu = jnp.asarray(xnes.mean, jnp.float32)
     c_mu = c_mu.at[0].set(jnp.abs(c_mu[0]))
-    if archives.soft.empty:  # nothing passed threshold_min yet, so c_μ has nothing to say: first learn the task itself
-        c_mu = jnp.eye(streams)[0]
+    if archives.soft.empty or config.walk_weights == "fitness":
+        c_mu = jnp.eye(streams)[0]  # nothing passed threshold_min yet, so xNES has nothing to say; or asked for
     walked = compiled.train(state, occupied, _tied(c_mu), True, config.walk_updates, config.epochs)
     state = walked.state
 
     # Reward model (line 18): fresh rollouts of the walked policy, nothing learned from them but the reward.
     reward_info: dict[str, jax.Array] = {}
-    if compiled.parts.model.learns:
+    if compiled.model.learns:
         fresh = compiled.train(state, occupied, _tied(c_mu), True, 1, 0)
         state, reward_info = compiled.update_reward(fresh.state, occupied, demos, fresh.transitions)
 
@@ -89,7 +93,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     info = {
         "restarts": float(restarted),
         **{f"c{i}": float(c) for i, c in enumerate(c_mu)},
-        "steps": _env_steps(config, candidates, compiled.parts.model.learns),
+        "steps": _env_steps(config, candidates, compiled.model.learns),
         "added": float((improvement > 0).sum()),
         "not_finite": float((~candidates.finite).sum()),
         "walk_reward": float(walked.info["fitness_reward"]),
@@ -108,13 +112,13 @@ def warm_up(search: Search, updates: int) -> tuple[Search, int]:
     """
     config, compiled, demos, state = search.config, search.compiled, search.demos, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
-    weights = _tied(jnp.eye(compiled.parts.streams)[0])
+    weights = _tied(jnp.eye(compiled.search.streams)[0])
     done = 0
     while done < updates:
         now = min(config.walk_updates, updates - done)
         trained = compiled.train(state, occupied, weights, True, now, config.epochs)
         state, done = trained.state, done + now
-        if compiled.parts.model.learns:
+        if compiled.model.learns:
             state, _ = compiled.update_reward(state, occupied, demos, trained.transitions)
     return search._replace(state=state), updates * config.window * config.num_envs
 
@@ -160,7 +164,7 @@ def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
     count, size = len(search.archives.result), search.config.candidates
     firsts = range(0, count, size)
     scores = [evaluate(search, batch_of_elites(search, first), jax.random.fold_in(key, first)) for first in firsts]
-    k = len(search.compiled.parts.env.measure_names)
+    k = len(search.compiled.search.env.measure_names)
     fields = {"fitness": (0,), "true_return": (0,), "measures": (0, k)}
     joined = {n: np.concatenate([np.zeros(e), *(getattr(s, n) for s in scores)])[:count] for n, e in fields.items()}
     names = {"fitness": "rescored_fitness", "true_return": "rescored_return", "measures": "rescored_measures"}

@@ -14,9 +14,10 @@ import jax
 import numpy as np
 
 from qdil import ppga
-from qdil.config import Config, ConfigError, from_json, make_config, parse_method, to_json
+from qdil.config import Config, ConfigError, from_json, make_config, to_json
 from qdil.files import sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
+from qdil.imitation.registry import bases, parse_method
 from qdil.search import archive
 
 RESULTS = Path("results")
@@ -52,7 +53,8 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     Raises ConfigError before anything compiles: demonstrations missing or unusable, or a finished run of another
     configuration in the folder.
     """
-    imitates = parse_method(config.method).base != "true"
+    method = parse_method(config.method)
+    imitates = bases()[method.base].imitates
     demos_file = (demos_file or demos_path(config.budget, config.env, config.demo_episodes)) if imitates else None
     if is_finished(folder):
         _check_finished(config, folder, demos_file)
@@ -60,7 +62,9 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     demos = None
     if demos_file:
         try:
-            demos = demonstrations.load(demos_file, config.env, config.backend)
+            demos = demonstrations.load(
+                demos_file, config.env, config.backend, not method.obs_only, config.expert_alignment, config.seed
+            )
         except ValueError as error:
             raise ConfigError(str(error)) from None
     try:

@@ -10,16 +10,14 @@ from qdil.config import (
     ROBOTS,
     Config,
     ConfigError,
-    Method,
     check,
     from_json,
     make_config,
-    method_names,
-    parse_method,
     parse_settings,
     settings_help,
     to_json,
 )
+from qdil.imitation.registry import Method, method_names, parse_method
 
 PAPER = {
     "actor_hidden": (128, 128),

@@ -4,25 +4,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from probes import counter, obs_stats, true_rewards
+from probes import counter
 
-from qdil.search import networks
-from qdil.search.evaluate import Policies, evaluate
+from qdil.search import evaluate, networks
+from qdil.search.evaluate import Policies
 from qdil.search.rollout import start
 
 BOUND, LIMIT, CHUNK, EPISODES, CANDIDATES = 2.0, 10, 4, 3, 5
 LIKE = networks.init_policy(jax.random.key(0), 1, 1, (3,), 1e-6)
-STATS = obs_stats([0.5], [2.0])
 
 
-def fitness(carry, stats, steps):
-    """A made-up fitness that reads the reward model's normaliser, the action and the proxy."""
-    return carry, (steps.obs[..., 0] - stats.mean) / stats.std + 3 * steps.action[..., 0] + steps.proxy[..., 1]
+def fitness(steps):
+    """A made-up fitness that reads the state, the action and the proxy."""
+    return (steps.obs[..., 0] - 0.5) / 2 + 3 * steps.action[..., 0] + steps.proxy[..., 1]
 
 
-def scored(env, policies, key, rewards=fitness, sample_actions=False):
-    run = jax.jit(lambda p, k: evaluate(env, rewards, LIKE, p, STATS, (), k, LIMIT, CHUNK, sample_actions))
-    return jax.tree.map(np.asarray, run(policies, key))
+def scored(env, policies, key, rewards=fitness, sample_actions=False, limit=LIMIT, chunk=CHUNK):
+    """Scores as arrays; a ``rewards`` that is called once for every chunk of steps that was simulated."""
+
+    def pay(carry, steps, counted):
+        return carry, evaluate.paid_in(rewards(steps), counted)
+
+    pieces = evaluate.episodes(env, LIKE, key.shape[1], limit, chunk, sample_actions)
+    scores = evaluate.run(evaluate.Episodes(*map(jax.jit, pieces)), pay, policies, (), key)
+    return jax.tree.map(np.asarray, scores)
 
 
 @pytest.fixture(scope="module")
@@ -108,12 +113,11 @@ def watched(actions, bound):
     """Scores of such policies, and the observations (T, E) of every chunk that was simulated."""
     chunks = []
 
-    def watching(carry, stats, steps):
-        jax.debug.callback(lambda obs: chunks.append(np.asarray(obs[..., 0])), steps.obs, ordered=True)
-        return true_rewards(carry, stats, steps)
+    def watching(steps):
+        chunks.append(np.asarray(steps.obs[..., 0]))
+        return steps.reward
 
     scores = scored(counter(bound), always(actions), jax.random.split(jax.random.key(0), (len(actions), 2)), watching)
-    jax.effects_barrier()
     return scores, chunks
 
 
@@ -135,10 +139,9 @@ def test_sampled_actions_have_the_policys_mean_and_spread():
     policies = policies._replace(theta=jnp.tile(networks.flatten(theta), (4000, 1)))
     keys = jax.random.split(jax.random.key(0), (4000, 1))
 
-    def first_action(carry, stats, steps):
-        return carry, steps.action[..., 0]
+    def first_action(steps):
+        return steps.action[..., 0]
 
-    run = jax.jit(lambda p, k: evaluate(counter(BOUND), first_action, LIKE, p, STATS, (), k, 1, 1, True))
-    actions = np.asarray(run(policies, keys).fitness)
+    actions = scored(counter(BOUND), policies, keys, first_action, sample_actions=True, limit=1, chunk=1).fitness
     assert actions.mean() == pytest.approx(0.1, abs=4 * 0.2 / np.sqrt(4000))
     assert actions.std() == pytest.approx(0.2, rel=0.05)

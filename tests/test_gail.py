@@ -7,9 +7,9 @@ import pytest
 from probes import counter, obs_stats, transitions
 
 from qdil.config import make_config
-from qdil.imitation.gail import GailState, discriminator_loss, features, gail, gradient_penalty, logits
 from qdil.imitation.methods import reward_model
-from qdil.imitation.reward_model import Demonstrations, expert_inputs, policy_inputs, without_proxy
+from qdil.imitation.reward_model import Demonstrations, expert_inputs, features, policy_inputs
+from qdil.imitation.rewards.gail import GailState, discriminator_loss, gradient_penalty, logits, mixing_weights
 from qdil.search import networks
 from qdil.types import RewardContext
 
@@ -34,6 +34,12 @@ def steps_of(rng, time=8, envs=16, shift=0.0):
 def demos_of(steps) -> Demonstrations:
     """The same steps as expert rows."""
     return Demonstrations(*(getattr(steps, n).reshape(-1, getattr(steps, n).shape[-1]) for n in Demonstrations._fields))
+
+
+def built(method: str, **settings):
+    """A reward model by name, small unless ``settings`` say otherwise."""
+    settings = {"reward_hidden": (8,), "reward_steps": 3, "reward_batch": 16} | settings
+    return reward_model(make_config("walker2d", method, "smoke", **settings), ROBOT)
 
 
 # The loss
@@ -68,8 +74,16 @@ def problem():
 def test_penalty_of_a_linear_discriminator():
     w = np.array([[3.0], [-4.0]])
     x, y, mix = np.random.default_rng(0).random((3, 5, 2))
-    penalty = gradient_penalty([{"w": w, "b": np.ones(1)}], x, y, mix[:, :1])
+    params = [{"w": w, "b": np.ones(1)}]
+    penalty = gradient_penalty(lambda row: logits(params, row), x, y, mix[:, :1])
     assert penalty == pytest.approx((5 - 1) ** 2, rel=1e-5)
+
+
+def test_mixing_is_per_sample_or_per_element():
+    x = np.zeros((50, 4))
+    sample, element = (np.asarray(mixing_weights(jax.random.key(0), x, how)) for how in ("sample", "element"))
+    assert sample.shape == (50, 1) and element.shape == (50, 4)
+    assert len(np.unique(element)) == 200 and 0 <= element.min() and element.max() < 1
 
 
 def test_loss_is_the_papers(problem):
@@ -104,11 +118,11 @@ def test_gradient_agrees_with_finite_differences(problem):
 
 
 def test_reward_is_minus_log_of_one_minus_d():
-    model = gail(OBS + ACTIONS, without_proxy, hidden=(6,))
+    model = built("gail", reward_hidden=(6,))
     steps = steps_of(np.random.default_rng(1))
-    state = model.init(jax.random.key(0), None)
+    state = model.init(jax.random.key(0), demos_of(steps))
     _, reward = model.reward(state, (), CONTEXT, steps)
-    (first, last) = jax.tree.map(lambda leaf: np.asarray(leaf, float), state.params)
+    (first, last) = jax.tree.map(lambda leaf: np.asarray(leaf, float), state.inner.params)
     for t, e in np.ndindex(*reward.shape):
         x = np.concatenate([(steps.obs[t, e] - STATS.mean) / STATS.std, steps.action[t, e]])
         logit = (np.tanh(x @ first["w"] + first["b"]) @ last["w"] + last["b"])[0]
@@ -116,13 +130,13 @@ def test_reward_is_minus_log_of_one_minus_d():
 
 
 def test_reward_stays_finite_however_sure_the_discriminator():
-    model = gail(OBS + ACTIONS, without_proxy, hidden=(6,))
-    state = model.init(jax.random.key(0), None)
+    model = built("gail", reward_hidden=(6,))
+    steps = steps_of(np.random.default_rng(1))
+    state = model.init(jax.random.key(0), demos_of(steps))
     for bias in (-1e4, 1e4):
-        last = {**state.params[-1], "b": jnp.array([bias])}
-        _, reward = model.reward(
-            GailState([state.params[0], last], ()), (), CONTEXT, steps_of(np.random.default_rng(1))
-        )
+        first, last = state.inner.params
+        sure = state._replace(inner=GailState([first, {**last, "b": jnp.array([bias])}], ()))
+        _, reward = model.reward(sure, (), CONTEXT, steps)
         np.testing.assert_allclose(reward, max(bias, 0.0), rtol=1e-3)
 
 
@@ -131,11 +145,13 @@ def test_reward_stays_finite_however_sure_the_discriminator():
 
 def test_learns_to_tell_expert_from_policy():
     rng = np.random.default_rng(0)
-    model = gail(OBS + ACTIONS, without_proxy, hidden=(32,), learning_rate=3e-3, penalty=1.0, steps=200, batch_size=64)
+    model = built(
+        "gail", reward_hidden=(32,), reward_learning_rate=3e-3, gradient_penalty=1.0, reward_steps=200, reward_batch=64
+    )
     expert, policy = steps_of(rng, shift=2.0), steps_of(rng)
     held_out_expert, held_out_policy = steps_of(rng, shift=2.0), steps_of(rng)
     state, info = jax.jit(model.update)(
-        jax.random.key(0), model.init(jax.random.key(1), None), CONTEXT, demos_of(expert), policy
+        jax.random.key(0), model.init(jax.random.key(1), demos_of(expert)), CONTEXT, demos_of(expert), policy
     )
     assert info["expert_accuracy"] > 0.85 and info["policy_accuracy"] > 0.85
     on_expert, on_policy = (
@@ -148,8 +164,9 @@ def test_learns_to_tell_expert_from_policy():
 def test_rows_that_are_the_same_raw_numbers_cannot_be_told_apart():
     # One row, given both as demonstration and as policy data: any difference would come from the normaliser.
     one = steps_of(np.random.default_rng(0), time=1, envs=1)
-    model = gail(OBS + ACTIONS, without_proxy, hidden=(32,), learning_rate=3e-2, steps=50, batch_size=8)
-    _, info = jax.jit(model.update)(jax.random.key(0), model.init(jax.random.key(1), None), CONTEXT, demos_of(one), one)
+    model = built("gail", reward_hidden=(32,), reward_learning_rate=3e-2, reward_steps=50, reward_batch=8)
+    begun = model.init(jax.random.key(1), demos_of(one))
+    _, info = jax.jit(model.update)(jax.random.key(0), begun, CONTEXT, demos_of(one), one)
     assert info["discriminator_loss"] >= 2 * np.log(2) - 1e-5
     assert info["expert_accuracy"] + info["policy_accuracy"] == 1
 
@@ -166,17 +183,12 @@ def test_expert_and_policy_rows_become_the_same_inputs():
 # Measure conditioning
 
 
-def built(method: str):
-    settings = {"reward_hidden": (8,), "reward_steps": 3, "reward_batch": 16}
-    return reward_model(make_config("walker2d", method, "smoke", **settings), ROBOT)[0]
-
-
 @pytest.mark.parametrize(
     ("method", "seen"), [("gail", 0), ("mbo-gail", 0), ("mcond-gail", PROXIES), ("mconbo-gail", PROXIES)]
 )
 def test_methods_with_mcond_have_inputs_for_the_proxy(method, seen):
-    state = built(method).init(jax.random.key(1), None)
-    assert len(state.params[0]["w"]) == OBS + ACTIONS + seen
+    state = built(method).init(jax.random.key(1), demos_of(steps_of(np.random.default_rng(0))))
+    assert len(state.inner.params[0]["w"]) == OBS + ACTIONS + seen
 
 
 @pytest.mark.parametrize(("method", "conditioned"), [("gail", False), ("mcond-gail", True)])
@@ -189,7 +201,7 @@ def test_only_conditioned_models_see_the_proxy(method, conditioned):
     @jax.jit
     def learn_and_pay(demos, steps):
         state = model.update(jax.random.key(0), model.init(jax.random.key(1), demos), CONTEXT, demos, steps)[0]
-        return state.params, model.reward(state, (), CONTEXT, steps)[1]
+        return state.inner.params, model.reward(state, (), CONTEXT, steps)[1]
 
     def same(some, others):
         pairs = zip(jax.tree.leaves(some), jax.tree.leaves(others), strict=True)

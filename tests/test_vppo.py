@@ -152,7 +152,13 @@ def compile_updates(settings=SETTINGS, num_devices=1, copies=K):
 
     def run(state, num_updates, weights, tied, epochs):
         def once(state):
-            return vppo.update(env, settings, true_rewards, *state, weights, tied, epochs)
+            learner, stats, actors, carry = state
+            actors, steps, choice = vppo.collect(env, settings, learner, stats, actors)
+            carry, fitness = true_rewards(carry, stats, steps)
+            learner, stats, actors, info = vppo.learn(
+                settings, learner, stats, actors, steps, choice, fitness, weights, tied, epochs
+            )
+            return learner, stats, actors, carry, steps, info
 
         out = jax.eval_shape(once, state)
         empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), out[4:])
@@ -270,13 +276,14 @@ def test_no_epochs_collect_a_window_and_teach_nothing(updates):
 
 
 def test_the_critic_finds_the_known_value(updates):
-    # A bandit's value is its mean reward for ever: r̄ / (1 − γ), and time limits must not cut it short.
-    learner, stats, steps, _ = updates(60, jnp.tile(jnp.eye(K)[0], (K, 1)), True)
+    # A bandit's value is its mean reward for ever: r̄ / (1 − γ), and time limits must not cut it short. A weighting of
+    # zeros leaves the policy alone, so that the critic has something to converge to.
+    learner, stats, steps, _ = updates(60, jnp.zeros((K, K)), True)
     one = jax.tree.map(lambda leaf: np.asarray(leaf[0]), learner)
     obs = (np.asarray(steps.obs) - np.asarray(stats.mean)) / np.asarray(stats.std)
     said = dense(one.critic, obs) * one.returns.std + one.returns.mean
     known = np.asarray(steps.reward).mean() / (1 - SETTINGS.gamma)
-    assert said[..., 0].mean() == pytest.approx(known, rel=0.25)
+    assert said[..., 0].mean() == pytest.approx(known, rel=0.1)
 
 
 def test_clipping_is_measured_from_what_the_critic_said():

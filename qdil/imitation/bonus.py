@@ -30,6 +30,16 @@ def episode_measures(transitions: Transitions) -> jax.Array:
     return jax.lax.scan(backwards, cut, (transitions.measures_so_far, transitions.ended), reverse=True)[1]
 
 
-def measure_bonus(transitions: Transitions, occupied: jax.Array, p: float, q: float) -> jax.Array:
-    """r_diversity (T, E) of eq. 2 for every step of a window."""
-    return p + q * is_empty(occupied, episode_measures(transitions))
+def window_measures(transitions: Transitions) -> jax.Array:
+    """(T, E, k): the mean of δ over the whole window, across resets, as in the authors' released program."""
+    return jnp.broadcast_to(jnp.mean(transitions.proxy, axis=0), transitions.proxy.shape)
+
+
+SCOPES = {"episode": episode_measures, "window": window_measures}
+
+
+def measure_bonus(
+    transitions: Transitions, occupied: jax.Array, p: jax.Array | float, q: jax.Array | float, scope: str = "episode"
+) -> jax.Array:
+    """r_diversity (T, E) of eq. 2 for every step of a window; ``scope`` "episode" (the paper's) or "window"."""
+    return p + q * is_empty(occupied, SCOPES[scope](transitions))

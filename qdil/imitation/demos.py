@@ -84,11 +84,20 @@ def save(path: Path, recorded: dict[str, np.ndarray], env: Environment) -> None:
     write_npz(path, **recorded, robot=np.array(env.name), backend=np.array(env.backend))
 
 
-def load(path: Path, robot: str, backend: str) -> Demonstrations:
+def load(
+    path: Path,
+    robot: str,
+    backend: str,
+    needs_actions: bool = True,
+    alignment: str = "aligned",
+    seed: int = 0,
+) -> Demonstrations:
     """Read and check a demonstrations file.
 
-    Raises ValueError in one sentence for a missing or unreadable file, another robot's or backend's
-    demonstrations, missing columns, unequal rows, no rows, or numbers that are not finite.
+    A file without an ``action`` column is welcome where ``needs_actions`` is False. ``alignment`` "shifted" pairs
+    states with actions as the authors' released program does, see ``shifted``. Raises ValueError in one sentence for a
+    missing or unreadable file, another robot's or backend's demonstrations, missing columns, unequal rows, no rows, or
+    numbers that are not finite.
     """
     if not path.is_file():
         raise ValueError(f"no demonstrations at {path}: make them with 'qdil demos --env {robot}'.")
@@ -98,7 +107,11 @@ def load(path: Path, robot: str, backend: str) -> Demonstrations:
     except Exception as error:  # zipfile, zlib and numpy each have errors of their own for what is not an .npz
         raise ValueError(f"{path} is damaged or not a demonstrations file ({type(error).__name__}).") from None
     missing = [name for name in (*FIELDS, "robot", "backend") if name not in data]
-    if missing:
+    if missing == ["action"]:
+        if needs_actions:
+            raise ValueError(f"{path} has no actions: only the methods that end in -obs can learn from it.")
+        data["action"] = np.zeros((len(data["obs"]), 0), np.float32)
+    elif missing:
         raise ValueError(f"{path} is not a demonstrations file: it has no {', '.join(missing)}.")
     if str(data["robot"]) != robot or str(data["backend"]) != backend:
         raise ValueError(
@@ -109,4 +122,34 @@ def load(path: Path, robot: str, backend: str) -> Demonstrations:
         raise ValueError(f"{path} has columns of {sorted(lengths)} rows; they must be tables that agree and not empty.")
     if not all(data[name].dtype.kind == "f" and np.isfinite(data[name]).all() for name in FIELDS):
         raise ValueError(f"{path} contains numbers that are not finite, or no numbers at all.")
+    if alignment == "shifted":
+        data = shifted(data, np.random.default_rng(seed))
     return Demonstrations(*(jnp.asarray(data[name], jnp.float32) for name in FIELDS))
+
+
+def check_fits(demos: Demonstrations, env: Environment) -> None:
+    """Raise ValueError unless the demonstrations' columns are as wide as the robot's (actions may be missing)."""
+    widths = {"obs": env.obs_size, "action": env.action_size, "next_obs": env.obs_size, "proxy": len(env.measure_names)}
+    for name, width in widths.items():
+        given = getattr(demos, name).shape[1]
+        if given != width and not (name == "action" and given == 0):
+            raise ValueError(f"the demonstrations have {name} of width {given}, but {env.name} has {width}.")
+
+
+def shifted(data: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Rows as the authors' released program pairs them: the state *after* action t, and j steps later still.
+
+    j is drawn from 0-19 for every ``episode``; the steps at an episode's end that have no such state are dropped.
+    """
+    parts = []
+    for episode in np.unique(data["episode"]):
+        mine = {name: data[name][data["episode"] == episode] for name in FIELDS}
+        length = len(mine["obs"])
+        late = min(int(rng.integers(20)), length - 1)
+        parts.append({
+            "obs": mine["next_obs"][late:],
+            "action": mine["action"][: length - late],
+            "next_obs": mine["next_obs"][np.minimum(np.arange(late, length) + 1, length - 1)],
+            "proxy": mine["proxy"][np.minimum(np.arange(late, length) + 1, length - 1)],
+        })  # fmt: skip
+    return {name: np.concatenate([part[name] for part in parts]) for name in FIELDS}

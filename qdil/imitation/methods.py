@@ -1,35 +1,22 @@
-"""From a method's name to its reward model: one place that knows every base model and every prefix."""
+"""From a configuration to the reward model that its method names, variants included."""
 
-from collections.abc import Callable
-
-from qdil.config import Config, Method, parse_method
-from qdil.imitation.gail import gail
-from qdil.imitation.reward_model import RewardModel, Select, true_reward, with_proxy, without_proxy
+from qdil.config import Config
+from qdil.imitation.registry import bases, parse_method
+from qdil.imitation.reward_model import Inputs, RewardModel, hide, over_inputs
 from qdil.robots.environment import Environment
 
 
-def _gail(config: Config, env: Environment, select: Select, width: int) -> RewardModel:
-    return gail(
-        env.obs_size + env.action_size + width,
-        select,
-        config.reward_hidden,
-        config.reward_learning_rate,
-        config.gradient_penalty,
-        config.reward_steps,
-        config.reward_batch,
-    )
-
-
-Build = Callable[[Config, Environment, Select, int], RewardModel]
-BUILDERS: dict[str, Build] = {
-    "true": lambda config, env, select, width: true_reward(),
-    "gail": _gail,
-}
-
-
-def reward_model(config: Config, env: Environment) -> tuple[RewardModel, Method]:
-    """The reward model that ``config.method`` names, and the method's parts (the bonus is added by VPPO's caller)."""
+def reward_model(config: Config, env: Environment) -> RewardModel:
+    """The reward model of ``config.method`` (the measure bonus is added by who pays, see ``phases.pay``)."""
     method = parse_method(config.method)
-    select = with_proxy if method.conditioned else without_proxy
-    width = len(env.measure_names) if method.conditioned else 0
-    return BUILDERS[method.base](config, env, select, width), method
+    base = bases()[method.base]
+    if not base.imitates:
+        return base.build(config)
+    select = hide(actions=method.obs_only, proxy=not method.conditioned)
+    widths = Inputs(
+        env.obs_size,
+        0 if method.obs_only else env.action_size,
+        env.obs_size,
+        len(env.measure_names) if method.conditioned else 0,
+    )
+    return over_inputs(base.build(config, widths), select, raw_expert=config.expert_obs == "raw")

@@ -1,4 +1,4 @@
-"""What a reward model is: a value of four pure functions; and the inputs it may see, with their transformations."""
+"""What a reward model is: a value of pure functions; over what inputs; and the transformations that make variants."""
 
 import math
 from collections.abc import Callable
@@ -7,24 +7,24 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdil.search.normalise import normalise_obs
+from qdil.search.normalise import init_obs_stats, normalise_obs
 from qdil.types import ObsStats, RewardContext, Transitions
 
 
 class Inputs(NamedTuple):
     """What a learned reward may read of a step; expert and policy batches take the same form."""
 
-    obs: jax.Array  # (…, O) s_t, normalised
-    action: jax.Array  # (…, A) a_t in [-1, 1]; width 0 for observation-only models
-    next_obs: jax.Array  # (…, O) s_{t+1}, normalised
-    proxy: jax.Array  # (…, k) δ(s_t); width 0 without measure conditioning
+    obs: Any  # (…, O) s_t, normalised
+    action: Any  # (…, A) a_t in [-1, 1]; width 0 for observation-only models
+    next_obs: Any  # (…, O) s_{t+1}, normalised
+    proxy: Any  # (…, k) δ(s_t); width 0 without measure conditioning
 
 
 class Demonstrations(NamedTuple):
     """Expert steps, rows (N): state, action, next state and proxy of the same step."""
 
     obs: jax.Array  # (N, O) raw
-    action: jax.Array  # (N, A)
+    action: jax.Array  # (N, A); width 0 where the demonstrator's actions are not known
     next_obs: jax.Array  # (N, O) raw
     proxy: jax.Array  # (N, k)
 
@@ -45,17 +45,36 @@ class RewardModel(NamedTuple):
     learns: bool  # False: ``update`` does nothing and needs no data
 
 
+class InputModel(NamedTuple):
+    """A reward model as its author writes it: over ``Inputs`` alone. ``over_inputs`` makes it a ``RewardModel``.
+
+    ``init(key, expert) -> state`` with the demonstrations' rows (N);
+    ``begin(state, num_envs) -> carry``;
+    ``reward(state, carry, inputs, ended) -> (carry, r)``, inputs (T, E), ``ended`` (T, E) True where an episode ends;
+    ``update(key, state, expert, policy) -> (state, info)`` with expert rows (N) and policy steps (T, E).
+    """
+
+    init: Callable[[jax.Array, Inputs], Any]
+    begin: Callable[[Any, int], Any]
+    reward: Callable[[Any, Any, Inputs, jax.Array], tuple[Any, jax.Array]]
+    update: Callable[[jax.Array, Any, Inputs, Inputs], tuple[Any, dict[str, jax.Array]]]
+    learns: bool = True
+    # Whose mean and spread normalise observations, expert's and policy's alike: "running", the policy's own normaliser,
+    # which moves; or "expert", the demonstrations', which stays, for models that learn before the run or not at all.
+    normaliser: str = "running"
+
+
 Select = Callable[[Inputs], Inputs]
 
 
-def without_proxy(inputs: Inputs) -> Inputs:
-    """Plain imitation: hide δ(s)."""
-    return inputs._replace(proxy=inputs.proxy[..., :0])
+def hide(actions: bool, proxy: bool) -> Select:
+    """What a variant may see: without ``actions`` (eq. 20), without the ``proxy`` δ(s) (no measure conditioning)."""
 
+    def select(inputs: Inputs) -> Inputs:
+        action = inputs.action[..., :0] if actions else inputs.action
+        return inputs._replace(action=action, proxy=inputs.proxy[..., :0] if proxy else inputs.proxy)
 
-def with_proxy(inputs: Inputs) -> Inputs:
-    """Measure conditioning (eq. 3): δ(s) is one more input."""
-    return inputs
+    return select
 
 
 def policy_inputs(transitions: Transitions, stats: ObsStats) -> Inputs:
@@ -69,20 +88,80 @@ def expert_inputs(demos: Demonstrations, stats: ObsStats) -> Inputs:
     return Inputs(normalise_obs(stats, demos.obs), demos.action, normalise_obs(stats, demos.next_obs), demos.proxy)
 
 
-def true_reward() -> RewardModel:
-    """The environment's own reward: PPGA itself, the expert."""
+def expert_stats(demos: Demonstrations) -> ObsStats:
+    """The demonstrations' own mean and spread; an observation that never moves there counts as it is (spread 1)."""
+    spread = jnp.std(demos.obs, axis=0)
+    zeros = jnp.zeros_like(spread)
+    return ObsStats(jnp.mean(demos.obs, axis=0), jnp.where(spread < 1e-3, 1.0, spread), zeros, jnp.zeros(()))
 
-    def reward(state: Any, carry: Any, context: RewardContext, transitions: Transitions) -> tuple[Any, jax.Array]:
-        return carry, transitions.reward
 
-    def update(key, state, context, demos, transitions):
-        return state, {}
+class _OverInputs(NamedTuple):
+    expert_stats: ObsStats
+    inner: Any
 
-    return RewardModel(lambda key, demos: (), lambda state, num_envs: (), reward, update, learns=False)
+
+def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> RewardModel:
+    """A ``RewardModel`` from one over inputs; ``select`` is what both expert and policy batches may show it.
+
+    ``raw_expert`` leaves expert observations as they were recorded, against normalised policy observations: a mistake
+    of the authors' released program (``expert_obs=raw``), for whoever wants to measure it.
+    """
+    as_recorded = init_obs_stats(1)
+
+    def stats_of(state: _OverInputs, context: RewardContext) -> ObsStats:
+        return state.expert_stats if model.normaliser == "expert" else context.obs_stats
+
+    def init(key: jax.Array, demos: Demonstrations | None) -> _OverInputs:
+        assert demos is not None, "a model that imitates needs demonstrations"
+        stats = expert_stats(demos)
+        return _OverInputs(stats, model.init(key, select(expert_inputs(demos, as_recorded if raw_expert else stats))))
+
+    def begin(state: _OverInputs, num_envs: int) -> Any:
+        return model.begin(state.inner, num_envs)
+
+    def reward(state: _OverInputs, carry: Any, context: RewardContext, transitions: Transitions) -> Any:
+        inputs = select(policy_inputs(transitions, stats_of(state, context)))
+        return model.reward(state.inner, carry, inputs, transitions.ended)
+
+    def update(
+        key: jax.Array, state: _OverInputs, context: RewardContext, demos: Demonstrations, transitions: Transitions
+    ) -> Any:
+        stats = stats_of(state, context)
+        expert = select(expert_inputs(demos, as_recorded if raw_expert else stats))
+        inner, info = model.update(key, state.inner, expert, select(policy_inputs(transitions, stats)))
+        return state._replace(inner=inner), info
+
+    return RewardModel(init, begin, reward, update, model.learns)
+
+
+def features(inputs: Inputs) -> jax.Array:
+    """(s, a, δ) side by side, (…, F); what is hidden has width 0."""
+    return jnp.concatenate([inputs.obs, inputs.action, inputs.proxy], axis=-1)
+
+
+def flat(inputs: Inputs) -> Inputs:
+    """Inputs with all leading axes joined into rows."""
+    return jax.tree.map(lambda x: x.reshape(math.prod(x.shape[:-1]), x.shape[-1]), inputs)
 
 
 def rows(key: jax.Array, inputs: Inputs, size: int) -> Inputs:
     """``size`` rows drawn evenly with replacement from inputs whose leading axes are flattened first."""
-    flat = jax.tree.map(lambda x: x.reshape(math.prod(x.shape[:-1]), x.shape[-1]), inputs)
-    index = jax.random.randint(key, (size,), 0, flat.obs.shape[0])
-    return jax.tree.map(lambda x: jnp.take(x, index, axis=0), flat)
+    one = flat(inputs)
+    index = jax.random.randint(key, (size,), 0, one.obs.shape[0])
+    return jax.tree.map(lambda x: jnp.take(x, index, axis=0), one)
+
+
+def in_minibatches(
+    step: Callable[[jax.Array, Any, Inputs, Inputs], tuple[Any, dict[str, jax.Array]]], steps: int, size: int
+) -> Callable[..., tuple[Any, dict[str, jax.Array]]]:
+    """An ``update`` of ``steps`` calls of ``step(key, state, expert, policy)``, each on ``size`` rows of both."""
+
+    def update(key: jax.Array, state: Any, expert: Inputs, policy: Inputs) -> tuple[Any, dict[str, jax.Array]]:
+        def one(state: Any, key: jax.Array):
+            expert_key, policy_key, step_key = jax.random.split(key, 3)
+            return step(step_key, state, rows(expert_key, expert, size), rows(policy_key, policy, size))
+
+        state, info = jax.lax.scan(one, state, jax.random.split(key, steps))
+        return state, jax.tree.map(lambda x: x[-1], info)
+
+    return update

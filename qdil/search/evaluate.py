@@ -1,10 +1,14 @@
-"""Scoring candidates over whole episodes, in chunks that stop as soon as every robot has fallen or timed out."""
+"""Scoring candidates over whole episodes, in chunks that stop as soon as every robot has fallen or timed out.
+
+Cut into pieces that a shell compiles one by one, so that the simulation is compiled once whatever rewards are paid.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from qdil.robots.environment import Environment
 from qdil.search import networks
@@ -30,92 +34,109 @@ class Scores(NamedTuple):
     finite: jax.Array  # (λ,) bool
 
 
-class _Tally(NamedTuple):
+class Tally(NamedTuple):
+    """Sums over the episodes so far, axis (E) = λ·n in front."""
+
     alive: jax.Array  # (E,) bool
     finite: jax.Array  # (E,) bool
-    fitness: jax.Array  # (E,)
     true_return: jax.Array  # (E,)
     proxy_sum: jax.Array  # (E, k)
     length: jax.Array  # (E,)
 
 
-Rewards = Callable[[object, ObsStats, Transitions], tuple[object, jax.Array]]
+class Episodes(NamedTuple):
+    """The pieces of an evaluation; all but ``run``'s loop is pure."""
+
+    begin: Callable[[jax.Array], tuple[Actors, Tally]]  # key (λ, n), one per episode
+    advance: Callable[[Policies, Actors, Tally], tuple[Actors, Tally, Transitions, jax.Array]]
+    finish: Callable[[Tally, jax.Array], Scores]  # and the fitness (E,) of every episode
 
 
-def evaluate(
-    env: Environment,
-    rewards: Rewards,
-    like: Params,
-    policies: Policies,
-    stats: ObsStats,
-    reward_carry: object,
-    key: jax.Array,
-    episode_length: int,
-    chunk: int,
-    sample_actions: bool,
-) -> Scores:
+Pay = Callable[[object, Transitions, jax.Array], tuple[object, jax.Array]]
+
+
+def run(episodes: Episodes, pay: Pay, policies: Policies, carry: object, key: jax.Array) -> Scores:
     """Roll out every one of λ ``policies`` for key.shape[1] whole episodes; ``key`` (λ, n) is one per episode.
 
-    Each policy acts under its own observation statistics; the reward model reads all through ``stats``.
-    ``rewards(carry, stats, transitions) -> (carry, (T, E))`` gives the fitness reward of a chunk, E = λ·n.
-    ``sample_actions`` draws a ~ π_θ; otherwise the policy's mean acts. A robot that has finished is frozen
-    and counts no more; the loop ends when all have.
+    ``pay(carry, transitions, counted) -> (carry, (E,))`` sums the fitness of a chunk's ``counted`` steps (T, E).
     """
-    candidates, episodes = key.shape
-    params = jax.vmap(lambda t: networks.unflatten(t, like))(policies.theta)
-    actors = start(env, key.reshape(-1), episode_length)
+    actors, tally = episodes.begin(key)
+    fitness: jax.Array | None = None
+    while np.asarray(tally.alive).any():
+        actors, tally, transitions, counted = episodes.advance(policies, actors, tally)
+        carry, paid = pay(carry, transitions, counted)
+        fitness = paid if fitness is None else fitness + paid
+    assert fitness is not None  # every robot begins alive
+    return episodes.finish(tally, fitness)
+
+
+def paid_in(rewards: jax.Array, counted: jax.Array) -> jax.Array:
+    """Sum over time (E,) of the rewards (T, E) of steps that count."""
+    return jnp.sum(jnp.where(counted, rewards, 0.0), axis=0)
+
+
+def episodes(
+    env: Environment, like: Params, num_episodes: int, episode_length: int, chunk: int, sample_actions: bool
+) -> Episodes:
+    """Whole episodes, ``num_episodes`` of each policy, simulated ``chunk`` steps at a time.
+
+    Each policy acts under its own observation statistics. ``sample_actions`` draws a ~ π_θ; otherwise the policy's
+    mean acts. A robot that has finished is frozen and counts no more.
+    """
+
+    def begin(key: jax.Array) -> tuple[Actors, Tally]:
+        actors = start(env, key.reshape(-1), episode_length)
+        zeros = jnp.zeros(key.size)
+        yes = jnp.ones(key.size, bool)
+        return actors, Tally(yes, yes, zeros, jnp.zeros_like(actors.robot.proxy), zeros)
 
     def act(policy: Params, obs_mean: jax.Array, obs_std: jax.Array, key: jax.Array, obs: jax.Array) -> jax.Array:
-        mean = networks.policy_mean(policy, stats._replace(mean=obs_mean, std=obs_std), obs)
+        zeros = jnp.zeros_like(obs_mean)
+        mean = networks.policy_mean(policy, ObsStats(obs_mean, obs_std, zeros, zeros), obs)
         if not sample_actions:
             return mean
         noise = jax.vmap(lambda k: jax.random.normal(k, mean.shape[-1:]))(key)
         return mean + noise * jnp.exp(policy["log_std"])
 
-    def step(carry, _):
-        (robot, steps, limit, proxy_sum, key), alive, finite = carry
-        key, act_key = split_each(key)
-        by_policy = (candidates, episodes)
-        obs = robot.obs.reshape(*by_policy, -1)
-        action = jax.vmap(act)(params, policies.obs_mean, policies.obs_std, act_key.reshape(by_policy), obs)
-        action = jnp.clip(action.reshape(candidates * episodes, -1), -1.0, 1.0)
-        after, outcome = jax.vmap(env.step)(robot, action)
-        steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
-        truncated = (steps >= limit) & ~outcome.terminated
-        transition = Transitions(
-            robot.obs, action, after.obs, robot.proxy, outcome.reward, outcome.terminated, truncated,
-            proxy_sum / steps[:, None],
-        )  # fmt: skip
-        finite = finite & (outcome.finite | ~alive)
-        still = alive & ~outcome.terminated & ~truncated
-        frozen = where_each(still, after, robot)
-        return (Actors(frozen, steps, limit, proxy_sum, key), still, finite), (transition, alive)
+    def advance(policies: Policies, actors: Actors, tally: Tally):
+        params = jax.vmap(lambda t: networks.unflatten(t, like))(policies.theta)
+        by_policy = (len(policies.theta), num_episodes)
 
-    def run_chunk(carry):
-        actors, reward_carry, tally = carry
-        (actors, alive, finite), (transitions, counted) = jax.lax.scan(
-            step, (actors, tally.alive, tally.finite), None, chunk
-        )
-        reward_carry, fitness = rewards(reward_carry, stats, transitions)
-        weight = counted.astype(jnp.float32)
-        tally = _Tally(
+        def step(carry, _):
+            (robot, steps, limit, proxy_sum, key), alive, finite = carry
+            key, act_key = split_each(key)
+            obs = robot.obs.reshape(*by_policy, -1)
+            action = jax.vmap(act)(params, policies.obs_mean, policies.obs_std, act_key.reshape(by_policy), obs)
+            action = jnp.clip(action.reshape(len(robot.obs), -1), -1.0, 1.0)
+            after, outcome = jax.vmap(env.step)(robot, action)
+            steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
+            truncated = (steps >= limit) & ~outcome.terminated
+            transition = Transitions(
+                robot.obs, action, after.obs, robot.proxy, outcome.reward, outcome.terminated, truncated,
+                proxy_sum / steps[:, None],
+            )  # fmt: skip
+            finite = finite & (outcome.finite | ~alive)
+            still = alive & ~outcome.terminated & ~truncated
+            frozen = where_each(still, after, robot)
+            return (Actors(frozen, steps, limit, proxy_sum, key), still, finite), (transition, alive)
+
+        begun = (actors, tally.alive, tally.finite)
+        (actors, alive, finite), (transitions, counted) = jax.lax.scan(step, begun, None, chunk)
+        tally = Tally(
             alive,
             finite,
-            tally.fitness + jnp.sum(weight * fitness, axis=0),
-            tally.true_return + jnp.sum(weight * transitions.reward, axis=0),
-            tally.proxy_sum + jnp.sum(weight[..., None] * transitions.proxy, axis=0),
-            tally.length + jnp.sum(weight, axis=0),
+            tally.true_return + paid_in(transitions.reward, counted),
+            tally.proxy_sum + jnp.sum(jnp.where(counted[..., None], transitions.proxy, 0.0), axis=0),
+            tally.length + jnp.sum(counted, axis=0),
         )
-        return actors, reward_carry, tally
+        return actors, tally, transitions, counted
 
-    zeros = jnp.zeros(candidates * episodes)
-    yes = jnp.ones(candidates * episodes, bool)
-    tally = _Tally(yes, yes, zeros, zeros, jnp.zeros_like(actors.robot.proxy), zeros)
-    _, _, tally = jax.lax.while_loop(lambda c: jnp.any(c[2].alive), run_chunk, (actors, reward_carry, tally))
+    def finish(tally: Tally, fitness: jax.Array) -> Scores:
+        def mean(x: jax.Array) -> jax.Array:
+            return jnp.mean(x.reshape(-1, num_episodes, *x.shape[1:]), axis=1)
 
-    def mean(x: jax.Array) -> jax.Array:
-        return jnp.mean(x.reshape(candidates, episodes, *x.shape[1:]), axis=1)
+        finite = jnp.all(tally.finite.reshape(-1, num_episodes), axis=1)
+        measures = mean(tally.proxy_sum / tally.length[:, None])
+        return Scores(mean(fitness), mean(tally.true_return), measures, mean(tally.length), finite)
 
-    finite = jnp.all(tally.finite.reshape(candidates, episodes), axis=1)
-    measures = mean(tally.proxy_sum / tally.length[:, None])
-    return Scores(mean(tally.fitness), mean(tally.true_return), measures, mean(tally.length), finite)
+    return Episodes(begin, advance, finish)

@@ -9,7 +9,6 @@ with a head per stream (fitness, δ_1 … δ_k). Advantages are linear in the re
 is the weighted sum over heads, and the walk's critic stays valid when xNES changes the weights.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -256,31 +255,33 @@ def _learn(
     return learner, kl
 
 
-RewardStreams = Callable[[Transitions], jax.Array]  # (T, E) transitions -> (T, E, 1+k) rewards
+def collect(
+    env: Environment, settings: Settings, learner: Learner, stats: ObsStats, actors: Actors
+) -> tuple[Actors, Transitions, Choice]:
+    """One window of steps (T, E), robot e driven by copy e mod K of ``learner``."""
+    copies = learner.policy["log_std"].shape[0]
+    act = act_with_copies(learner.policy, stats, copies)
+    return window(env, act, actors, settings.window, settings.episode_length)
 
 
-def update(
-    env: Environment,
+def learn(
     settings: Settings,
-    rewards: Callable[..., tuple[object, jax.Array]],
     learner: Learner,
     stats: ObsStats,
     actors: Actors,
-    reward_carry: object,
+    transitions: Transitions,
+    choice: Choice,
+    fitness: jax.Array,
     weights: jax.Array,
     tied: jax.Array,
     epochs: jax.Array,
-) -> tuple[Learner, ObsStats, Actors, object, Transitions, dict[str, jax.Array]]:
-    """One VPPO update of K copies: collect a window, estimate advantages, learn. Runs inside ``shard_map``.
+) -> tuple[Learner, ObsStats, Actors, dict[str, jax.Array]]:
+    """What K copies learn from a window that ``collect`` gave, with one ``fitness`` reward (T, E) per step.
 
-    ``rewards(carry, stats, transitions) -> (carry, (T, E))`` is the fitness reward; the streams are it and δ.
-    ``weights`` (K, 1+k) is the weighting each copy maximises; with ``tied`` its rows must be equal.
+    The reward streams are ``fitness`` and δ. ``weights`` (K, 1+k) is the weighting each copy maximises; with ``tied``
+    its rows must be equal. Moves the observation statistics too. Runs inside ``shard_map``.
     """
     copies = weights.shape[0]
-    actors, transitions, choice = window(
-        env, act_with_copies(learner.policy, stats, copies), actors, settings.window, settings.episode_length
-    )
-    reward_carry, fitness = rewards(reward_carry, stats, transitions)
     streams = jnp.concatenate([fitness[..., None], transitions.proxy], axis=-1)
     mine = jax.tree.map(lambda x: to_copies(x, copies, axis=1), (transitions, choice, streams))
 
@@ -290,7 +291,6 @@ def update(
     learner, batch = jax.vmap(prepare, axis_name=COPIES)(learner, mine, weights)
     key, learn_key = split_each(actors.key)
     learner, kl = _learn(learner, batch, learn_key, tied, epochs, settings)
-    stats = update_obs_stats(stats, transitions.obs)
     info = {
         "approx_kl": jnp.mean(kl),
         "fitness_reward": jax.lax.pmean(jnp.mean(fitness), AXIS),
@@ -299,4 +299,4 @@ def update(
         "proxy": jax.lax.pmean(jnp.mean(transitions.proxy, axis=(0, 1)), AXIS),
         "action_std": jnp.mean(jnp.exp(learner.policy["log_std"])),
     }
-    return learner, stats, actors._replace(key=key), reward_carry, transitions, info
+    return learner, update_obs_stats(stats, transitions.obs), actors._replace(key=key), info

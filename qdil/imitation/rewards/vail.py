@@ -1,0 +1,96 @@
+"""VAIL (Peng et al., 2018; eqs. 5, 6, 8): GAIL through an information bottleneck.
+
+An encoder E'(z|s, a, δ) = N(μ, diag σ²) stands before the discriminator D(z), and
+min_{D,E'} max_{β≥0} E_D[−log D(z)] + E_π[−log(1−D(z))] + β (E_mixture[KL(E'(z|·) ‖ N(0, I))] − I_c)
+with z ~ E' and the mixture half expert, half policy. Signs as in GAIL; the reward is −log(1−D(μ)) ≥ 0.
+
+Eqs. 5 and 8 print the expert's term as log(−D(z)), which is undefined for D ∈ (0, 1); −log D(z), as in Peng et al., is
+what is meant. Like GAIL here it has the gradient penalty, through the mean latent.
+Departure from the authors' released program: β adapts and z is sampled (``vail_beta=fixed``: weight 1, mean latent).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from qdil.config import Config
+from qdil.imitation.registry import register
+from qdil.imitation.reward_model import InputModel, Inputs, features, in_minibatches
+from qdil.imitation.rewards.gail import cross_entropy, gradient_penalty, logits, mixing_weights
+from qdil.search.networks import init_mlp, mlp
+from qdil.types import Params
+
+
+class VailState(NamedTuple):
+    """Encoder and discriminator, their optimiser, and the multiplier β of the information constraint."""
+
+    params: Params
+    opt: optax.OptState
+    beta: jax.Array  # ()
+
+
+def encode(params: Params, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Mean and log deviation (…, Z) of E'(z|x)."""
+    mean, log_std = jnp.split(mlp(params["encoder"], x), 2, axis=-1)
+    return mean, jnp.clip(log_std, -10.0, 5.0)
+
+
+def kl_to_standard_normal(mean: jax.Array, log_std: jax.Array) -> jax.Array:
+    """KL(N(μ, diag σ²) ‖ N(0, I)) in nats, (…,)."""
+    return 0.5 * jnp.sum(jnp.square(mean) + jnp.exp(2.0 * log_std) - 1.0 - 2.0 * log_std, axis=-1)
+
+
+def next_beta(beta: jax.Array, information: jax.Array, limit: float, rate: float) -> jax.Array:
+    """One step of dual ascent: β rises while the bottleneck lets more than ``limit`` nats through, never below 0."""
+    return jnp.maximum(0.0, beta + rate * (information - limit))
+
+
+def loss(
+    params: Params, beta: jax.Array, expert: jax.Array, policy: jax.Array, key: jax.Array, config: Config
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Eq. 5's Lagrangian at ``beta`` on feature rows (N, F), with the gradient penalty."""
+    noise_key, mix_key = jax.random.split(key)
+    mean, log_std = encode(params, jnp.concatenate([expert, policy]))
+    noise = jax.random.normal(noise_key, mean.shape) if config.vail_beta == "adaptive" else 0.0
+    expert_logit, policy_logit = jnp.split(logits(params["head"], mean + jnp.exp(log_std) * noise), 2)
+    total, info = cross_entropy(expert_logit, policy_logit)
+    information = jnp.mean(kl_to_standard_normal(mean, log_std))
+    mix = mixing_weights(mix_key, expert, config.penalty_mixing)
+    penalty = gradient_penalty(lambda x: logits(params["head"], encode(params, x)[0]), expert, policy, mix)
+    constraint = beta * (information - config.vail_information)
+    return total + constraint + config.gradient_penalty * penalty, {**info, "information": information}
+
+
+@register("vail", "−log(1−D) of VAIL's discriminator, behind an information bottleneck")
+def vail(config: Config, widths: Inputs) -> InputModel:
+    """Rewards −log(1−D(μ_E'(s, a, δ))) ≥ 0 (eq. 6)."""
+    opt = optax.adam(config.reward_learning_rate)
+    size = widths.obs + widths.action + widths.proxy
+    fixed = config.vail_beta == "fixed"
+
+    def init(key: jax.Array, expert: Inputs) -> VailState:
+        encoder_key, head_key = jax.random.split(key)
+        params = {
+            "encoder": init_mlp(encoder_key, (size, *config.reward_hidden, 2 * config.vail_latent)),
+            "head": init_mlp(head_key, (config.vail_latent, 1)),
+        }
+        return VailState(params, opt.init(params), jnp.asarray(1.0 if fixed else 0.0))
+
+    def reward(state: VailState, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
+        mean, _ = encode(state.params, features(inputs))
+        return carry, jax.nn.softplus(logits(state.params["head"], mean))
+
+    def step(key: jax.Array, state: VailState, expert: Inputs, policy: Inputs):
+        grads, info = jax.grad(loss, has_aux=True)(
+            state.params, state.beta, features(expert), features(policy), key, config
+        )
+        change, opt_state = opt.update(grads, state.opt)
+        beta = state.beta
+        if not fixed:
+            beta = next_beta(beta, info["information"], config.vail_information, config.vail_beta_rate)
+        return VailState(optax.apply_updates(state.params, change), opt_state, beta), {**info, "beta": beta}
+
+    update = in_minibatches(step, config.reward_steps, config.reward_batch)
+    return InputModel(init, lambda state, num_envs: (), reward, update)
