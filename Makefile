@@ -4,7 +4,9 @@ BUDGET ?= smoke
 VENV := .venv
 RUN := $(VENV)/bin/python
 
-.PHONY: reproduce test lint lock clean
+SWEEP ?=
+
+.PHONY: reproduce test lint sweep lock clean
 
 reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke, laptop or full)
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
@@ -22,6 +24,10 @@ $(VENV)/.installed: environment.lock pyproject.toml
 	$(RUN) -m pip install --quiet --require-hashes --no-deps -r environment.lock
 	$(RUN) -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
+
+sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d methods=true,gail seeds=1,2,3")
+	$(RUN) -m snakemake --snakefile workflow/Snakefile --cores all --nolock --rerun-incomplete --rerun-triggers mtime \
+		--config budget=$(BUDGET) $(SWEEP)
 
 lock:  ## resolve the pinned, hashed environment anew (needs uv)
 	uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \

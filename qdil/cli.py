@@ -37,6 +37,10 @@ def _parser() -> argparse.ArgumentParser:
         help="change a setting (repeatable)",
     )
     train.add_argument("--out", type=Path, help="run folder (default: results/BUDGET/ENV/METHOD/seed-N)")
+    train.add_argument("--devices", type=int, help="local devices to use (default: as many as divide the counts)")
+    train.add_argument(
+        "--dry-run", action="store_true", help="print the settings, the steps and a time estimate; train nothing"
+    )
 
     demos = commands.add_parser(
         "demos",
@@ -57,6 +61,23 @@ def _parser() -> argparse.ArgumentParser:
     figures.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
     _budget_and_seed(figures)
 
+    verify = commands.add_parser(
+        "verify",
+        help="check a finished run",
+        description="Hash a run's files again and evaluate a sample of its elites on new episodes.",
+    )
+    verify.add_argument("folder", type=Path, metavar="DIR", help="the run's folder")
+
+    bench = commands.add_parser(
+        "bench",
+        help="measure speed on this machine",
+        description="Measure a run's speed as shares of the bare simulator's, robot by robot; takes minutes for each.",
+    )
+    bench.add_argument("--env", action="append", metavar="ENV", help=f"one of {', '.join(ROBOTS)} (default: all)")
+    bench.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
+    bench.add_argument("--rounds", type=int, default=5, help="turns that each speed is taken in (default: 5)")
+    bench.add_argument("--json", action="store_true", help="print an object per robot instead of a table")
+
     commands.add_parser("methods", help="list all methods", description="List every method with a line each.")
 
     notebooks = commands.add_parser(
@@ -73,11 +94,19 @@ def _budget_and_seed(parser: argparse.ArgumentParser) -> None:
 
 
 def _train(args: argparse.Namespace) -> int:
-    config = make_config(args.env, args.method, args.budget, args.seed, **parse_settings(args.settings))
-    from qdil import run
+    changes = parse_settings(args.settings) | ({} if args.devices is None else {"devices": args.devices})
+    config = make_config(args.env, args.method, args.budget, args.seed, **changes)
+    if args.dry_run:
+        from qdil import plan
+
+        print(plan.report(config, plan.plan(config)))
+        return 0
+    from qdil import checkpoint, run
     from qdil.progress import Progress
 
     folder = args.out or run.folder_of(config)
+    if checkpoint.exists(folder):
+        print(f"Going on with the unfinished run in {folder}.")
     progress = Progress(config)
     try:
         trained = run.train(config, folder, args.demos, progress)
@@ -107,6 +136,29 @@ def _figures(args: argparse.Namespace) -> int:
     return 0
 
 
+def _verify(args: argparse.Namespace) -> int:
+    from qdil import verify
+
+    found = verify.verify(args.folder)
+    print(verify.report(found))
+    return 1 if found.changed else 0
+
+
+def _bench(args: argparse.Namespace) -> int:
+    if args.rounds < 1:
+        raise ConfigError(f"--rounds {args.rounds} must be at least 1.")
+    robots = args.env or list(ROBOTS)
+    for env in robots:
+        make_config(env, "true", args.budget)
+    from qdil import bench
+
+    rows = {env: bench.start_seconds(env) | bench.bench(env, args.budget, args.rounds) for env in robots}
+    for env in robots:
+        rows[env] |= bench.full_networks(env, args.rounds)
+    print(bench.as_json(rows) if args.json else bench.table(rows))
+    return 0
+
+
 def _methods(args: argparse.Namespace) -> int:
     names = method_names()
     for name in names:
@@ -125,7 +177,15 @@ def _notebooks(args: argparse.Namespace) -> int:
     return 1 if failures else 0
 
 
-COMMANDS = {"train": _train, "demos": _demos, "figures": _figures, "methods": _methods, "notebooks": _notebooks}
+COMMANDS = {
+    "train": _train,
+    "demos": _demos,
+    "figures": _figures,
+    "verify": _verify,
+    "bench": _bench,
+    "methods": _methods,
+    "notebooks": _notebooks,
+}
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -40,6 +40,7 @@ class SearchPrograms(NamedTuple):
     collect: Any
     learn: Any
     unfork: Any
+    give_up: Any
     branch: Any
     episodes: Episodes
     jump: Any
@@ -69,7 +70,8 @@ class Compiled(NamedTuple):
     score: Any  # (Policies, state, occupied, key (λ, n)) -> Scores
     update_reward: Any  # (state, occupied, demos, transitions) -> (State, info)
     jump: Any  # (state, theta (P,), obs mean, obs std) -> State at an elite
-    place: Any
+    episodes: Episodes  # the pieces of ``score``
+    place: Any  # a tree with axis (λ) in front, laid out over the devices as ``score`` expects it
 
 
 def compile_run(config: Config) -> Compiled:
@@ -88,6 +90,7 @@ def compile_run(config: Config) -> Compiled:
         score=partial(_score, programs, rewards),
         update_reward=partial(_update_reward, rewards),
         jump=partial(_jump, programs),
+        episodes=programs.episodes,
         place=programs.place,
     )
 
@@ -113,6 +116,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
             (all_, all_, each, all_),
         ),
         unfork=jax.jit(phases.unfork, out_shardings=whole),
+        give_up=jax.jit(partial(phases.give_up, copies=search.streams), out_shardings=(split, whole)),
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         episodes=Episodes(
             shard(pieces.begin, (each,), each),
@@ -178,6 +182,7 @@ def _train(
     """``num_updates`` ≥ 1 VPPO updates of K copies of θ_μ (Algorithm 1, lines 4 and 17); copy 0 is kept as learner.
 
     ``weights`` (K, 1+k), ``tied`` and ``epochs`` as in ``vppo.learn``. The bonus reads the archive cells ``occupied``.
+    A phase that ends in numbers that are not finite is undone, whole, and reported as ``rolled_back``.
     """
     how = weights, jnp.asarray(tied, bool), jnp.asarray(epochs, jnp.int32)
     paid = jnp.asarray(bonus, jnp.float32)
@@ -186,8 +191,13 @@ def _train(
         actors, transitions, choice = programs.collect(learner, stats, actors)
         carry, fitness = rewards.pay(state.reward, carry, RewardContext(stats, occupied), paid, transitions)
         learner, stats, actors, info = programs.learn(learner, stats, actors, transitions, choice, fitness, *how)
-    first, theta = programs.unfork(learner)
-    return Trained(State(state.key, first, stats, actors, state.reward, carry), theta, transitions, info)
+    first, theta, healthy = programs.unfork(learner, stats)
+    if bool(healthy):
+        state = State(state.key, first, stats, actors, state.reward, carry)
+    else:
+        actors, theta = programs.give_up(state.actors, state.learner.policy)
+        state = state._replace(actors=actors)
+    return Trained(state, theta, transitions, {**info, "rolled_back": 1.0 - healthy})
 
 
 def _score(

@@ -94,12 +94,12 @@ class Config:
 
 
 LAPTOP: dict[str, Any] = {
-    "iterations": 110,
+    "iterations": 200,
     "warmup_updates": 300,
-    "gradient_updates": 5,
-    "walk_updates": 5,
-    "candidates": 48,
-    "episodes": 3,
+    "gradient_updates": 3,
+    "walk_updates": 3,
+    "candidates": 96,
+    "episodes": 2,
     "cells": 20,
     "sigma0": 2.0,
     "archive_learning_rate": 1.0,
@@ -144,6 +144,7 @@ PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
         "gamma": 0.99,
         "episode_length": 200,
         "num_envs": 96,
+        "iterations": 160,
         "warmup_updates": 100,
         "threshold_min": -100.0,
     },  # fmt: skip

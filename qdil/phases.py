@@ -16,8 +16,9 @@ from qdil.robots import brax_robots
 from qdil.robots.environment import Environment
 from qdil.search import networks, vppo
 from qdil.search.evaluate import Episodes, Policies, episodes, paid_in
+from qdil.search.finite import all_finite
 from qdil.search.normalise import init_obs_stats
-from qdil.search.rollout import Actors, start
+from qdil.search.rollout import Actors, split_each, start
 from qdil.types import ObsStats, Params, RewardContext, Transitions
 
 
@@ -130,9 +131,16 @@ def pay_episodes(
     return carry, paid_in(rewards, counted)
 
 
-def unfork(learner: vppo.Learner) -> tuple[vppo.Learner, jax.Array]:
-    """Copy 0, and every copy's θ (K, P)."""
-    return jax.tree.map(lambda leaf: leaf[0], learner), jax.vmap(networks.flatten)(learner.policy)
+def unfork(learner: vppo.Learner, stats: ObsStats) -> tuple[vppo.Learner, jax.Array, jax.Array]:
+    """Copy 0, every copy's θ (K, P), and whether all copies and the statistics are finite numbers."""
+    theta = jax.vmap(networks.flatten)(learner.policy)
+    return jax.tree.map(lambda leaf: leaf[0], learner), theta, all_finite((learner, stats))
+
+
+def give_up(actors: Actors, policy: Params, copies: int) -> tuple[Actors, jax.Array]:
+    """Robots as before a training phase that went wrong, with other noise to come; and θ_μ for every copy (K, P)."""
+    key, _ = split_each(actors.key)
+    return actors._replace(key=key), jnp.tile(networks.flatten(policy), (copies, 1))
 
 
 def branch(policy: Params, stats: ObsStats, theta: jax.Array, coefficients: jax.Array) -> tuple[Policies, jax.Array]:
@@ -157,8 +165,14 @@ def update_reward(
     demos: Demonstrations,
     transitions: Transitions,
 ) -> tuple[Any, dict[str, jax.Array]]:
-    """One round of the reward model's learning from demonstrations and fresh steps (Algorithm 1, line 18)."""
-    return model.update(key, reward, context, demos, transitions)
+    """One round of the reward model's learning from demonstrations and fresh steps (Algorithm 1, line 18).
+
+    A round that ends in numbers that are not finite is undone and reported as ``reward_rolled_back``.
+    """
+    learned, info = model.update(key, reward, context, demos, transitions)
+    healthy = all_finite(learned)
+    kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), learned, reward)
+    return kept, {**info, "reward_rolled_back": 1.0 - healthy}
 
 
 def jump(

@@ -98,6 +98,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
         "not_finite": float((~candidates.finite).sum()),
         "walk_reward": float(walked.info["fitness_reward"]),
         "true_reward": float(walked.info["true_reward"]),
+        "rolled_back": float(forked.info["rolled_back"] + walked.info["rolled_back"]),
         "approx_kl": float(walked.info["approx_kl"]),
         "action_std": float(walked.info["action_std"]),
         **{name: float(value) for name, value in reward_info.items()},
@@ -105,22 +106,21 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     return search._replace(state=state), info
 
 
-def warm_up(search: Search, updates: int) -> tuple[Search, int]:
-    """Plain PPO on the method's own reward before the first iteration (ours, the same for every method).
+def warm_up(search: Search, updates: int) -> tuple[Search, int, float]:
+    """A round of plain PPO on the method's own reward before the first iteration (ours, the same for every method).
 
-    In rounds of N2 updates, so that a learned reward model learns along. Returns the environment steps taken.
+    At most N2 of the ``updates`` still to do, so that a learned reward model learns along. Returns how many were done
+    and the environment steps that took.
     """
     config, compiled, demos, state = search.config, search.compiled, search.demos, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
     weights = _tied(jnp.eye(compiled.search.streams)[0])
-    done = 0
-    while done < updates:
-        now = min(config.walk_updates, updates - done)
-        trained = compiled.train(state, occupied, weights, True, now, config.epochs)
-        state, done = trained.state, done + now
-        if compiled.model.learns:
-            state, _ = compiled.update_reward(state, occupied, demos, trained.transitions)
-    return search._replace(state=state), updates * config.window * config.num_envs
+    now = min(config.walk_updates, updates)
+    trained = compiled.train(state, occupied, weights, True, now, config.epochs)
+    state = trained.state
+    if compiled.model.learns:
+        state, _ = compiled.update_reward(state, occupied, demos, trained.transitions)
+    return search._replace(state=state), now, float(now * config.window * config.num_envs)
 
 
 def _tied(weighting: jax.Array) -> jax.Array:

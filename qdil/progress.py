@@ -19,7 +19,8 @@ class Progress:
         self.config = config
         self.live = sys.stderr.isatty() if live is None else live
         self.bar = tqdm(total=config.iterations, desc=f"{config.env} {config.method}", unit="it") if self.live else None
-        self.first = 0.0  # when the first iteration was done: what came before, compilation above all, does not recur
+        # The first iteration seen and its moment: what came before, compilation above all, does not recur.
+        self.begun: tuple[int, float] | None = None
         self.last_line = 0.0
         if self.bar is None:
             print(f"{config.env} {config.method}: compiling, then {config.warmup_updates} warm-up updates", flush=True)
@@ -31,13 +32,15 @@ class Progress:
             f"{row['env_steps'] / max(row['wall_seconds'], 1e-9):.0f} steps/s"
         )
         done, total = int(row["iteration"]), self.config.iterations
-        self.first = self.first or time.monotonic()
+        if self.begun is None:
+            self.begun = done, time.monotonic()
         if self.bar is not None:
             self.bar.set_postfix_str(text, refresh=False)
-            self.bar.update()
+            self.bar.update(done - self.bar.n)
         elif done == total or time.monotonic() - self.last_line > SECONDS_BETWEEN_LINES:
-            left = (time.monotonic() - self.first) / max(done - 1, 1) * (total - done)
-            clock = f", {left:.0f} s left" if done > 1 else ""
+            first, moment = self.begun
+            left = (time.monotonic() - moment) / max(done - first, 1) * (total - done)
+            clock = f", {left:.0f} s left" if done > first else ""
             print(f"{self.config.env} {self.config.method}: iteration {done}/{total}, {text}{clock}", flush=True)
             self.last_line = time.monotonic()
 

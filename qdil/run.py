@@ -1,19 +1,16 @@
 """A run as a folder: trains a configuration and writes config, metrics, archive, policies and manifest."""
 
 import json
-import platform
-import subprocess
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from qdil import ppga
+from qdil import checkpoint, manifest, ppga
+from qdil.checkpoint import Progress
 from qdil.config import Config, ConfigError, from_json, make_config, to_json
 from qdil.files import sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
@@ -21,13 +18,13 @@ from qdil.imitation.registry import bases, parse_method
 from qdil.search import archive
 
 RESULTS = Path("results")
-PACKAGES = ("jax", "jaxlib", "brax", "mujoco", "mujoco-mjx", "ribs", "optax", "numpy")
 ARCHIVE_FIELDS = ("index", "measures", "fitness", "true_return", "length")
 POLICY_FIELDS = ("index", "solution", "obs_mean", "obs_std")
 FIRST_COLUMNS = [
     "iteration", "env_steps", "wall_seconds", "qd_score", "coverage", "best", "average", "learned_qd_score", "restarts",
 ]  # fmt: skip
-METRICS_EVERY = 5.0  # seconds between rewrites of metrics.csv while a run goes on
+SAVE_EVERY = 20.0  # seconds between checkpoints (and rewrites of metrics.csv) while a run goes on
+SAVE_SHARE = 0.03  # of a run's time, at most, goes into saving it
 
 Report = Callable[[ppga.Search, dict[str, float]], None]  # called after every iteration with its row of metrics
 
@@ -48,72 +45,110 @@ def is_finished(folder: Path) -> bool:
 
 
 def train(config: Config, folder: Path, demos_file: Path | None = None, report: Report | None = None) -> bool:
-    """Run ``config`` in ``folder``. Returns False, having done nothing, if that run is already finished there.
+    """Run ``config`` in ``folder``, from where an earlier process left it. False if that run is already finished there.
 
-    Raises ConfigError before anything compiles: demonstrations missing or unusable, or a finished run of another
-    configuration in the folder.
+    Raises ConfigError before anything compiles: demonstrations missing or unusable, a run of another configuration in
+    the folder, or another process at work in it.
     """
     method = parse_method(config.method)
     imitates = bases()[method.base].imitates
     demos_file = (demos_file or demos_path(config.budget, config.env, config.demo_episodes)) if imitates else None
+    _check_settings(config, folder)
     if is_finished(folder):
-        _check_finished(config, folder, demos_file)
+        _check_demonstrations(folder, demos_file)
         return False
     demos = None
-    if demos_file:
-        try:
+    try:
+        if demos_file:
             demos = demonstrations.load(
                 demos_file, config.env, config.backend, not method.obs_only, config.expert_alignment, config.seed
             )
-        except ValueError as error:
-            raise ConfigError(str(error)) from None
-    try:
         search = ppga.begin(config, demos)
     except ValueError as error:
         raise ConfigError(str(error)) from None
-    write_json(folder / "config.json", to_json(config))
-    begun = {"commit": commit(), "start": datetime.now(UTC).isoformat(timespec="seconds")}
-    search = _iterations(search, folder, report)
-    _write_archive(search, folder)
-    _write_manifest(search, folder, begun, demos_file)
+    with checkpoint.locked(folder):
+        write_json(folder / "config.json", to_json(config))
+        begun = manifest.begin()
+        search, seconds = _iterations(search, folder, sha256(demos_file) if demos_file else None, report)
+        _write_archive(search, folder)
+        manifest.write(search, folder, begun, seconds, demos_file)
+        checkpoint.remove(folder)
     return True
 
 
-def _check_finished(config: Config, folder: Path, demos_file: Path | None) -> None:
-    """Raise ConfigError unless the finished run in ``folder`` is the one asked for."""
-    advice = "choose another --out, or remove the folder to train anew"
-    if json.loads((folder / "config.json").read_text()) != to_json(config):
-        raise ConfigError(f"{folder} holds a finished run with other settings; {advice}.")
+def _check_settings(config: Config, folder: Path) -> None:
+    """Raise ConfigError if ``folder`` holds a run, finished or not, with other settings."""
+    if (folder / "config.json").is_file() and json.loads((folder / "config.json").read_text()) != to_json(config):
+        what = "a finished run" if is_finished(folder) else "an unfinished run"
+        raise ConfigError(
+            f"{folder} holds {what} with other settings; choose another --out, or remove the folder to train anew."
+        )
+
+
+def _check_demonstrations(folder: Path, demos_file: Path | None) -> None:
+    """Raise ConfigError if the finished run in ``folder`` learned from other demonstrations."""
     trained_on = json.loads((folder / "manifest.json").read_text())["demonstrations_sha256"]
     if demos_file and demos_file.is_file() and trained_on != sha256(demos_file):
-        raise ConfigError(f"{folder} holds a finished run on other demonstrations than {demos_file}; {advice}.")
+        raise ConfigError(
+            f"{folder} holds a finished run on other demonstrations than {demos_file}; choose another --out, or remove "
+            "the folder to train anew."
+        )
 
 
-def _iterations(search: ppga.Search, folder: Path, report: Report | None) -> ppga.Search:
-    """Warm-up and all QD iterations, with ``metrics.csv`` kept up to date."""
-    config, begin = search.config, time.monotonic()
+def _iterations(
+    search: ppga.Search, folder: Path, demos_sha256: str | None, report: Report | None
+) -> tuple[ppga.Search, float]:
+    """What is left of the warm-up and of the QD iterations, with ``metrics.csv`` and a checkpoint kept up to date.
+
+    Returns the seconds that all of the run took, interruptions not counted, too.
+    """
+    config = search.config
+    search, now = checkpoint.load(folder, search, demos_sha256) or (search, Progress())
+    began, saving = time.monotonic() - now.seconds, _Saving(folder, demos_sha256)
     cells = int(search.archives.result.cells)
-    search, warm_up_steps = ppga.warm_up(search, config.warmup_updates)
-    env_steps, restarts, written = float(warm_up_steps), 0.0, 0.0
-    rows: list[dict[str, float]] = []
-    for number in range(1, config.iterations + 1):
-        search, info = ppga.iteration(search)
-        env_steps, restarts = env_steps + info.pop("steps"), restarts + info.pop("restarts")
-        row = {
-            "iteration": number,
-            "env_steps": int(env_steps),
-            "wall_seconds": round(time.monotonic() - begin, 3),
-            **archive.metrics(archive.elite_arrays(search.archives), cells),
-            "restarts": int(restarts),
-            **info,
-        }
-        rows.append(row)
-        if time.monotonic() - written > METRICS_EVERY or number == config.iterations:
-            write_csv(folder / "metrics.csv", FIRST_COLUMNS + list(info), rows)
-            written = time.monotonic()
-        if report is not None:
-            report(search, row)
-    return search
+    while now.iteration < config.iterations:
+        if now.warmed < config.warmup_updates:
+            search, warmed, steps = ppga.warm_up(search, config.warmup_updates - now.warmed)
+            now = now._replace(warmed=now.warmed + warmed, env_steps=now.env_steps + steps)
+        else:
+            search, info = ppga.iteration(search)
+            now = now._replace(
+                iteration=now.iteration + 1,
+                env_steps=now.env_steps + info.pop("steps"),
+                restarts=now.restarts + info.pop("restarts"),
+            )
+            row = {
+                "iteration": now.iteration,
+                "env_steps": int(now.env_steps),
+                "wall_seconds": round(time.monotonic() - began, 3),
+                **archive.metrics(archive.elite_arrays(search.archives), cells),
+                "restarts": int(now.restarts),
+                **info,
+            }
+            now = now._replace(rows=(*now.rows, row))
+            if report is not None:
+                report(search, row)
+        now = now._replace(seconds=time.monotonic() - began)
+        saving(search, now, last=now.iteration == config.iterations)
+    return search, now.seconds
+
+
+class _Saving:
+    """Writes metrics and checkpoints every few seconds, and so seldom that it takes a small share of the time."""
+
+    def __init__(self, folder: Path, demos_sha256: str | None) -> None:
+        self.folder, self.demos_sha256 = folder, demos_sha256
+        self.next = time.monotonic() + SAVE_EVERY
+
+    def __call__(self, search: ppga.Search, now: Progress, last: bool) -> None:
+        start = time.monotonic()
+        if start < self.next and not last:
+            return
+        if now.rows:
+            write_csv(self.folder / "metrics.csv", list(dict.fromkeys(FIRST_COLUMNS + list(now.rows[-1]))), now.rows)
+        checkpoint.save(self.folder, search, now, self.demos_sha256)
+        took = time.monotonic() - start
+        self.next = start + max(SAVE_EVERY, took / SAVE_SHARE)
 
 
 def _write_archive(search: ppga.Search, folder: Path) -> None:
@@ -122,36 +157,6 @@ def _write_archive(search: ppga.Search, folder: Path) -> None:
     cells = np.asarray(search.archives.result.dims)
     write_npz(folder / "archive.npz", **{name: elites[name] for name in ARCHIVE_FIELDS}, **again, cells=cells)
     write_npz(folder / "policies.npz", **{name: elites[name] for name in POLICY_FIELDS})
-
-
-def _write_manifest(search: ppga.Search, folder: Path, begun: dict[str, str], demos_file: Path | None) -> None:
-    files = ["config.json", "metrics.csv", "archive.npz", "policies.npz"]
-    devices = jax.local_devices()[: search.compiled.num_devices]
-    write_json(
-        folder / "manifest.json",
-        {
-            **begun,
-            "packages": {name: version(name) for name in PACKAGES},
-            "python": platform.python_version(),
-            "device": f"{len(devices)} x {devices[0].device_kind}",
-            "seed": search.config.seed,
-            "end": datetime.now(UTC).isoformat(timespec="seconds"),
-            "demonstrations_sha256": sha256(demos_file) if demos_file else None,
-            "sha256": {name: sha256(folder / name) for name in files},
-        },
-    )
-
-
-def commit() -> str:
-    """The repository's commit, marked where the working tree differs from it; "unknown" outside a repository."""
-    here = Path(__file__).parent
-    try:
-        run = ["git", "-C", str(here)]
-        head = subprocess.run([*run, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
-        changed = subprocess.run([*run, "status", "--porcelain", "--", str(here)], capture_output=True, text=True)
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return f"{head} with local changes" if changed.stdout.strip() else head
 
 
 def read_config(folder: Path) -> dict[str, Any]:

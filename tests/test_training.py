@@ -36,7 +36,7 @@ def begun(method: str) -> ppga.Search:
     shapes = {"obs": 17, "action": 6, "next_obs": 17, "proxy": 2}
     demos = Demonstrations(*(jnp.asarray(rng.normal(size=(60, width)), jnp.float32) for width in shapes.values()))
     search = ppga.begin(config, None if method == "true" else demos)
-    search, _ = ppga.warm_up(search, config.warmup_updates)
+    search, *_ = ppga.warm_up(search, config.warmup_updates)
     return ppga.iteration(search)[0]
 
 
@@ -54,7 +54,7 @@ def imitator():
 def test_no_compilation_after_the_first_iteration(name, request, compilations, monkeypatch):
     search = request.getfixturevalue(name)
     compilations.clear()
-    search, _ = ppga.warm_up(search, 2)
+    search, *_ = ppga.warm_up(search, 2)
     for _ in range(2):
         search, _ = ppga.iteration(search)
     with monkeypatch.context() as patch:  # an iteration that restarts

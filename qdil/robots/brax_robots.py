@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from qdil.robots.environment import Environment, Outcome, RobotState
+from qdil.search.finite import is_smaller
 
 DIVERGED = 1e6  # an observation or reward this large is no robot's: physics about to become infinite
 BACKENDS = ("spring", "positional", "generalized", "mjx")
@@ -90,7 +91,7 @@ def make(name: str, backend: str = "spring") -> Environment:
         before = State(state.physics, state.obs, zero, zero, {m: zero for m in metric_names})
         after = env.step(before, jnp.clip(action, -1.0, 1.0))
         # A diverged robot ends its episode there; its last sound observation stands in for the lost one.
-        finite = jnp.all(jnp.abs(after.obs) < DIVERGED) & (jnp.abs(after.reward) < DIVERGED)  # False for NaN too
+        finite = jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED)
         obs = jnp.where(finite, after.obs, state.obs)
         outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
         return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome

@@ -94,6 +94,22 @@ def elite_arrays(archives: Archives) -> dict[str, np.ndarray]:
     return {name: np.asarray(values)[order] for name, values in {**same, **renamed}.items()}
 
 
+def content(grid: GridArchive) -> dict[str, np.ndarray]:
+    """All that a grid holds, thresholds included, a row per filled cell in order of cell index."""
+    data = grid.data(return_type="dict")
+    order = np.argsort(data["index"])
+    return {name: np.asarray(values)[order] for name, values in data.items()}
+
+
+def refill(grid: GridArchive, rows: dict[str, np.ndarray]) -> None:
+    """Put ``content`` back into an empty grid, bit by bit.
+
+    pyribs has no public way to set a threshold, and adding the elites anew would only come near it. Its running
+    statistics (``stats``, ``best_elite``), which nothing here reads, do not come back.
+    """
+    grid._store.add(rows["index"], {name: values for name, values in rows.items() if name != "index"})
+
+
 def metrics(elites: dict[str, np.ndarray], cells: int) -> dict[str, float]:
     """The paper's four metrics (section 5.3) from true returns, and the QD-score in the learned fitness.
 

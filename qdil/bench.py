@@ -1,0 +1,261 @@
+"""How fast a run is, as shares of what the machine could do, measured side by side in one process.
+
+Machines are shared and drift, so nothing here is worth much alone: every speed is taken in turns with the bare
+simulator's (random actions, the same robots on the same devices), and the medians of their ratios are what counts.
+"""
+
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import PartitionSpec as P
+
+from qdil import ppga
+from qdil.config import Config, make_config
+from qdil.imitation.reward_model import Demonstrations
+from qdil.search import archive
+from qdil.search.rollout import split_each, start, window
+from qdil.sharding import AXIS, make_mesh
+
+ROUNDS = 5  # turns that each speed is taken in
+Row = dict[str, float]
+
+
+def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
+    """All figures of one robot. Takes minutes: it compiles everything anew for one and for all devices."""
+    row: Row = {}
+    true = _begun(env, "true", budget)
+    bare = _bare_simulator(true.config, true.compiled.num_devices)
+    ratios = _in_turns(
+        {
+            "simulator": bare,
+            "vppo": partial(_updates, true),
+            "evaluation": partial(_evaluation, true),
+            "iteration": _iterations_of(true),
+        },
+        rounds,
+    )
+    speeds, over = _against(ratios, "simulator")
+    row["simulator_steps_per_second"] = speeds["simulator"]
+    row["vppo_over_simulator"] = over["vppo"]
+    row["evaluation_over_simulator"] = over["evaluation"]
+    row["iteration_steps_per_second"] = speeds["iteration"]
+    row["iteration_over_simulator"] = over["iteration"]
+    imitator = _begun(env, "mconbo-gail", budget)
+    ratios = _in_turns(
+        {"simulator": bare, "iteration": _iterations_of(imitator), "reward": partial(_reward_update, imitator)}, rounds
+    )
+    row["mconbo_gail_iteration_over_simulator"] = _against(ratios, "simulator")[1]["iteration"]
+    seconds = {name: statistics.median(s for _, s in turns) for name, turns in ratios.items()}
+    row["reward_update_share"] = seconds["reward"] / seconds["iteration"]
+    if jax.local_device_count() > 1:
+        alone = _begun(env, "true", budget, devices=1)
+        row["device_speedup"] = _against(
+            _in_turns({"one": _iterations_of(alone), "all": _iterations_of(true)}, rounds), "one"
+        )[1]["all"]
+    row["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return row
+
+
+def full_networks(env: str, rounds: int = ROUNDS) -> Row:
+    """VPPO with the ``full`` budget's networks and 192 robots, against the sum of two floors.
+
+    The floors: bare simulation, and the update's floating-point operations at the rate of a plain matrix product.
+    """
+    full = make_config(env, "true", "full")
+    names = ("actor_hidden", "critic_hidden", "minibatches", "epochs")
+    changes = {name: getattr(full, name) for name in names}
+    # The target is out of reach so that every epoch is done, and can be counted.
+    search = ppga.begin(make_config(env, "true", "laptop", num_envs=192, target_kl=1e9, **changes), None)
+    config = search.config
+    size, rate = 1024, 2.0 * 1024**3
+    matrix = jnp.ones((size, size))
+    product = jax.jit(lambda x: x @ x)
+    bare = _bare_simulator(config, search.compiled.num_devices)
+    turns = _in_turns(
+        {"simulator": bare, "vppo": partial(_updates, search), "product": lambda: _timed(product, matrix, rate)}, rounds
+    )
+    steps = config.window * config.num_envs
+    floors = []
+    for (s_steps, s_seconds), (v_steps, v_seconds), (flop, p_seconds) in zip(
+        turns["simulator"], turns["vppo"], turns["product"], strict=True
+    ):
+        floor = v_steps * s_seconds / s_steps + _update_flop(search) * (v_steps / steps) * p_seconds / flop
+        floors.append(v_seconds / floor)
+    return {
+        "full_networks_simulation_floor_seconds": steps * statistics.median(s / n for n, s in turns["simulator"]),
+        "full_networks_arithmetic_floor_seconds": _update_flop(search)
+        * statistics.median(s / n for n, s in turns["product"]),
+        "full_networks_over_floor": statistics.median(floors),
+    }
+
+
+def start_seconds(env: str = "walker2d") -> Row:
+    """Seconds from starting a process to its first iteration's end at ``smoke``, with an empty and a warm cache."""
+    with tempfile.TemporaryDirectory() as folder:
+        variables = {**os.environ, "JAX_COMPILATION_CACHE_DIR": f"{folder}/cache"}
+        command = [sys.executable, "-m", "qdil", "train", "--env", env, "--method", "true", "--budget", "smoke"]
+        command += ["--set", "iterations=1", "--out"]
+        taken = []
+        for name in ("cold", "warm"):
+            began = time.monotonic()
+            subprocess.run([*command, f"{folder}/{name}"], env=variables, check=True, stdout=subprocess.DEVNULL)
+            taken.append(time.monotonic() - began)
+    return {"cold_start_seconds": taken[0], "warm_start_seconds": taken[1]}
+
+
+def _begun(env: str, method: str, budget: str, **changes: Any) -> ppga.Search:
+    """A run with everything compiled: after a round of warm-up and one iteration, on made-up demonstrations."""
+    config = make_config(env, method, budget, warmup_updates=1, **changes)
+    search = ppga.begin(config, None if method == "true" else _made_up_demonstrations(config))
+    search, *_ = ppga.warm_up(search, 1)
+    return ppga.iteration(search)[0]
+
+
+def _made_up_demonstrations(config: Config) -> Demonstrations:
+    from qdil.robots import brax_robots
+
+    env, rng = brax_robots.make(config.env, config.backend), np.random.default_rng(0)
+    rows = config.demo_episodes * config.episode_length
+    widths = (env.obs_size, env.action_size, env.obs_size, len(env.measure_names))
+    return Demonstrations(*(jnp.asarray(rng.normal(size=(rows, width)), jnp.float32) for width in widths))
+
+
+Turn = Callable[[], tuple[float, float]]  # does some work; returns how many steps of it, and the seconds they took
+
+
+def _in_turns(works: dict[str, Turn], rounds: int) -> dict[str, list[tuple[float, float]]]:
+    for work in works.values():
+        work()  # compiles
+    taken: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
+    for _ in range(rounds):
+        for name, work in works.items():
+            taken[name].append(work())
+    return taken
+
+
+def _against(taken: dict[str, list[tuple[float, float]]], base: str) -> tuple[dict[str, float], dict[str, float]]:
+    """Median steps per second of each, and the median ratio of each to ``base`` in the same round."""
+    rates = {name: [steps / seconds for steps, seconds in turns] for name, turns in taken.items()}
+    speeds = {name: statistics.median(values) for name, values in rates.items()}
+    over = {n: statistics.median(a / b for a, b in zip(v, rates[base], strict=True)) for n, v in rates.items()}
+    return speeds, over
+
+
+def _timed(function: Any, argument: Any, amount: float) -> tuple[float, float]:
+    began = time.monotonic()
+    jax.block_until_ready(function(argument))
+    return amount, time.monotonic() - began
+
+
+def _bare_simulator(config: Config, num_devices: int) -> Turn:
+    """Windows of random actions, resets and contacts included, on the run's own layout of robots over devices."""
+    from qdil.robots import brax_robots
+
+    env = brax_robots.make(config.env, config.backend)
+
+    def act(key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        one = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1.0, maxval=1.0))
+        return one(key), jnp.zeros(len(key))
+
+    def drive(actors: Any) -> Any:
+        actors, steps, _ = window(env, act, actors, config.window, config.episode_length)
+        return actors._replace(key=split_each(actors.key)[0]), jnp.sum(steps.reward)[None]
+
+    mesh = make_mesh(num_devices)
+    run = jax.jit(jax.shard_map(drive, mesh=mesh, in_specs=P(AXIS), out_specs=(P(AXIS), P(AXIS)), check_vma=False))
+    keys = jax.random.split(jax.random.key(0), config.num_envs)
+    now = [run(jax.jit(lambda k: start(env, k, config.episode_length, in_step=False))(keys))[0]]
+    windows = config.gradient_updates + config.walk_updates
+
+    def turn() -> tuple[float, float]:
+        began = time.monotonic()
+        for _ in range(windows):
+            now[0], reward = run(now[0])
+        jax.block_until_ready(reward)
+        return float(windows * config.window * config.num_envs), time.monotonic() - began
+
+    return turn
+
+
+def _updates(search: ppga.Search) -> tuple[float, float]:
+    """One walk: N2 VPPO updates."""
+    config, occupied = search.config, jnp.asarray(archive.occupied(search.archives))
+    weights = jnp.tile(jnp.eye(search.compiled.search.streams)[0], (search.compiled.search.streams, 1))
+    began = time.monotonic()
+    trained = search.compiled.train(search.state, occupied, weights, True, config.walk_updates, config.epochs)
+    jax.block_until_ready(trained.theta)
+    return float(config.walk_updates * config.window * config.num_envs), time.monotonic() - began
+
+
+def _evaluation(search: ppga.Search) -> tuple[float, float]:
+    """All candidates at θ_μ over whole episodes."""
+    coefficients = jnp.zeros((search.config.candidates, search.compiled.search.streams))
+    theta = jnp.zeros((search.compiled.search.streams, 1))
+    policies, _ = search.compiled.branch(search.state, theta, coefficients)
+    began = time.monotonic()
+    candidates = ppga.evaluate(search, policies, search.state.key)
+    return float(candidates.length.sum() * search.config.episodes), time.monotonic() - began
+
+
+def _iterations_of(search: ppga.Search) -> Turn:
+    """One whole QD iteration after the other."""
+    now = [search]
+
+    def turn() -> tuple[float, float]:
+        began = time.monotonic()
+        now[0], info = ppga.iteration(now[0])
+        jax.block_until_ready(now[0].state.key)
+        return info["steps"], time.monotonic() - began
+
+    return turn
+
+
+def _reward_update(search: ppga.Search) -> tuple[float, float]:
+    """One round of the reward model's learning."""
+    occupied = jnp.asarray(archive.occupied(search.archives))
+    weights = jnp.tile(jnp.eye(3)[0], (3, 1))
+    fresh = search.compiled.train(search.state, occupied, weights, True, 1, 0)
+    jax.block_until_ready(fresh.theta)
+    began = time.monotonic()
+    state, _ = search.compiled.update_reward(fresh.state, occupied, search.demos, fresh.transitions)
+    jax.block_until_ready(state.key)
+    return 1.0, time.monotonic() - began
+
+
+def _update_flop(search: ppga.Search) -> float:
+    """Floating-point operations of one VPPO update: forward and backward passes of all epochs, and the acting."""
+    config, env = search.config, search.compiled.search.env
+    sizes = [(env.obs_size, *config.actor_hidden, env.action_size), (env.obs_size, *config.critic_hidden, 3)]
+    weights = [sum(a * b for a, b in zip(layers, layers[1:], strict=False)) for layers in sizes]
+    steps = config.window * config.num_envs
+    learning = 3 * sum(weights) * config.epochs  # forward once, backward twice as much
+    return 2.0 * steps * (learning + weights[0] + 2 * weights[1])  # acting; values of both ends of each step
+
+
+def table(rows: dict[str, Row]) -> str:
+    """Rows by robot as an aligned table."""
+    names = list(dict.fromkeys(name for row in rows.values() for name in row))
+    width = max(map(len, names), default=0)
+    lines = [" " * width + "".join(f"{env:>14}" for env in rows)]
+    for name in names:
+        lines.append(f"{name:{width}}" + "".join(f"{row.get(name, float('nan')):14.3g}" for row in rows.values()))
+    return "\n".join(lines)
+
+
+def as_json(rows: dict[str, Row]) -> str:
+    """An object per robot."""
+    return json.dumps(
+        {env: {name: round(value, 4) for name, value in row.items()} for env, row in rows.items()}, indent=2
+    )

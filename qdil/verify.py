@@ -1,0 +1,82 @@
+"""Is a run what its folder says: hashes again, and a sample of its elites on new episodes."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdil import run
+from qdil.compiled import compile_run
+from qdil.config import from_json
+from qdil.files import sha256
+from qdil.search.evaluate import Policies
+
+
+class Verified(NamedTuple):
+    """What ``verify`` found."""
+
+    changed: list[str]  # files whose content is not what the manifest says
+    missing: list[str]  # files that the manifest names and the folder lacks
+    sampled: int  # elites evaluated again; 0 without policies
+    returns: np.ndarray  # (sampled, 2) true return as archived, and on new episodes
+    moved: np.ndarray  # (sampled,) distance between archived and new measures
+
+
+def verify(folder: Path, seed: int = 0) -> Verified:
+    """Check a finished run in ``folder``. Raises ConfigError if there is none."""
+    config = from_json(run.read_config(folder))
+    expected = json.loads((folder / "manifest.json").read_text())["sha256"]
+    missing = [name for name in expected if not (folder / name).is_file()]
+    changed = [n for n, digest in expected.items() if n not in missing and sha256(folder / n) != digest]
+    nothing = Verified(changed, missing, 0, np.zeros((0, 2)), np.zeros(0))
+    if "policies.npz" in missing or changed:
+        return nothing
+    elites = run.read_archive(folder, policies=True)
+    count = min(config.candidates, len(elites["index"]))
+    if count == 0:
+        return nothing
+    rows = np.random.default_rng(seed).choice(len(elites["index"]), count, replace=False)
+    true_return, measures = _evaluate(config, {name: values for name, values in elites.items()}, rows, seed)
+    return Verified(
+        changed,
+        missing,
+        count,
+        np.stack([elites["true_return"][rows], true_return[:count]], axis=1),
+        np.linalg.norm(elites["measures"][rows] - measures[:count], axis=1),
+    )
+
+
+def _evaluate(config: Any, elites: dict[str, np.ndarray], rows: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """True return (λ,) and measures (λ, k) of elites ``rows``, the last one repeated to fill a batch."""
+    compiled = compile_run(replace(config, method="true"))
+    rows = np.concatenate([rows, np.full(config.candidates - len(rows), rows[-1])])
+    fields: Any = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
+    key, init_key = jax.random.split(jax.random.key(seed))
+    state = compiled.init(init_key, None)
+    keys = compiled.place(jax.random.split(key, (config.candidates, config.episodes)))
+    occupied = jnp.zeros((config.cells,) * elites["measures"].shape[1], bool)
+    scores = compiled.score(compiled.place(Policies(*fields)), state, occupied, keys)
+    return np.asarray(scores.true_return), np.asarray(scores.measures)
+
+
+def report(found: Verified) -> str:
+    """The findings in a few lines."""
+    lines = [f"{name}: not what the manifest says" for name in found.changed]
+    lines += [f"{name}: missing" for name in found.missing]
+    if not lines:
+        lines.append("All files are as the manifest says.")
+    if found.sampled:
+        before, after = found.returns.T
+        change = np.median(np.abs(after - before))
+        lines += [
+            f"{found.sampled} elites on new episodes:",
+            f"  average return {before.mean():.1f} as archived, {after.mean():.1f} now (median change {change:.1f});",
+            f"  measures moved by {np.median(found.moved):.3f} (median), {found.moved.max():.3f} (largest).",
+        ]
+    elif not found.changed:
+        lines.append("No policies here to evaluate again: train the run on this machine to get them.")
+    return "\n".join(lines)

@@ -1,0 +1,198 @@
+"""Runs that are interrupted, damaged, or started twice: nothing is lost and nothing is different in the end."""
+
+import fcntl
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from qdil import checkpoint, ppga, run
+from qdil.checkpoint import Progress
+from qdil.config import ConfigError, make_config
+from qdil.files import sha256
+from qdil.search import archive
+
+CONFIG = make_config("walker2d", "true", "smoke", iterations=4)
+
+
+class Stopped(Exception):
+    """What interrupts a run in these tests."""
+
+
+def stop_after(iteration: int):
+    def report(search, row):
+        if row["iteration"] == iteration:
+            raise Stopped
+
+    return report
+
+
+@pytest.fixture(autouse=True)
+def save_always(monkeypatch):
+    monkeypatch.setattr(run, "SAVE_EVERY", 0.0)
+    monkeypatch.setattr(run, "SAVE_SHARE", 1e9)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("whole")
+    run.train(CONFIG, folder)
+    return folder
+
+
+@pytest.fixture
+def interrupted(tmp_path) -> Path:
+    """A run that died in its third iteration."""
+    with pytest.raises(Stopped):
+        run.train(CONFIG, tmp_path, report=stop_after(3))
+    return tmp_path
+
+
+def same_run(one: Path, other: Path) -> bool:
+    """The same archive, byte for byte, and the same metrics but for the clock."""
+    rows = [np.genfromtxt(f / "metrics.csv", delimiter=",", names=True) for f in (one, other)]
+    columns = [name for name in rows[0].dtype.names if name != "wall_seconds"]
+    for name in columns:
+        np.testing.assert_array_equal(rows[0][name], rows[1][name])
+    return sha256(one / "archive.npz") == sha256(other / "archive.npz")
+
+
+def test_a_resumed_run_ends_as_if_nothing_had_happened(interrupted, uninterrupted):
+    assert not run.is_finished(interrupted)
+    seen = []
+    assert run.train(CONFIG, interrupted, report=lambda search, row: seen.append(row["iteration"]))
+    assert seen == [3, 4]
+    assert same_run(interrupted, uninterrupted)
+    assert not (interrupted / "checkpoint").exists()
+
+
+def test_an_interrupted_warm_up_goes_on_too(tmp_path, uninterrupted, monkeypatch):
+    rounds = []
+    warm_up = ppga.warm_up
+
+    def counted(search, updates):
+        rounds.append(updates)
+        return warm_up(search, updates)
+
+    def dies_at_the_second(search, updates):
+        if updates == 1:
+            raise Stopped
+        return counted(search, updates)
+
+    monkeypatch.setattr(ppga, "warm_up", dies_at_the_second)
+    with pytest.raises(Stopped):
+        run.train(CONFIG, tmp_path)
+    monkeypatch.setattr(ppga, "warm_up", counted)
+    run.train(CONFIG, tmp_path)
+    assert rounds == [2, 1]
+    assert same_run(tmp_path, uninterrupted)
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate"])
+def test_a_damaged_checkpoint_is_noticed_and_the_one_before_used(interrupted, uninterrupted, damage):
+    newest, before = sorted((interrupted / "checkpoint").glob("*.npz"), reverse=True)
+    content = bytearray(newest.read_bytes())
+    if damage == "flip":
+        content[len(content) // 2] ^= 1
+    newest.write_bytes(content if damage == "flip" else content[: len(content) // 3])
+    seen = []
+    run.train(CONFIG, interrupted, report=lambda search, row: seen.append(row["iteration"]))
+    assert seen[0] == 2 and int(before.name.split("-")[1]) == 1
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_all_damaged_means_from_the_beginning(interrupted, uninterrupted):
+    for path in (interrupted / "checkpoint").glob("*.npz"):
+        path.write_bytes(b"")
+    run.train(CONFIG, interrupted)
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_a_full_disk_leaves_what_was_there(interrupted, uninterrupted, monkeypatch):
+    before = {path.name for path in (interrupted / "checkpoint").glob("*.npz")}
+
+    def no_space(file_descriptor):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", no_space)
+        with pytest.raises(OSError, match="No space"):
+            run.train(CONFIG, interrupted)
+    assert {path.name for path in (interrupted / "checkpoint").glob("*.npz")} == before
+    assert not list(interrupted.glob(".*"))
+    run.train(CONFIG, interrupted)
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_another_configuration_is_refused(interrupted):
+    with pytest.raises(ConfigError, match="an unfinished run with other settings"):
+        run.train(make_config("walker2d", "true", "smoke", iterations=5), interrupted)
+
+
+def test_a_folder_is_one_processes_at_a_time(interrupted, uninterrupted):
+    with open(interrupted / "checkpoint" / "lock", "a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(ConfigError, match="another process"):
+            run.train(CONFIG, interrupted)
+    run.train(CONFIG, interrupted)
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_other_demonstrations_are_refused(tmp_path):
+    search = ppga.begin(CONFIG, None)
+    checkpoint.save(tmp_path, search, Progress(iteration=1), "one")
+    assert checkpoint.load(tmp_path, search, "one") is not None
+    with pytest.raises(ConfigError, match="other demonstrations"):
+        checkpoint.load(tmp_path, search, "another")
+
+
+def test_what_is_loaded_is_what_was_saved(tmp_path):
+    """Every leaf, both grids with their thresholds, both generators."""
+    config = make_config("walker2d", "true", "smoke", archive_learning_rate=0.3)
+    search, _ = ppga.iteration(ppga.begin(config, None))
+    checkpoint.save(tmp_path, search, Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},)), None)
+    loaded, progress = checkpoint.load(tmp_path, ppga.begin(config, None), None)
+    assert progress == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},))
+    for mine, theirs in zip(jax.tree.leaves(search.state), jax.tree.leaves(loaded.state), strict=True):
+        assert mine.dtype == theirs.dtype and mine.sharding == theirs.sharding
+        np.testing.assert_array_equal(checkpoint._to_numpy(mine), checkpoint._to_numpy(theirs))
+    for mine, theirs in zip(search.archives, loaded.archives, strict=True):
+        one, other = archive.content(mine), archive.content(theirs)
+        assert set(one) == set(other) and "threshold" in one and len(one["index"]) > 0
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name])
+    np.testing.assert_array_equal(search.xnes.ask(), loaded.xnes.ask())
+    assert search.rng.integers(1 << 60) == loaded.rng.integers(1 << 60)
+
+
+def killed_at_random(folder: Path, kills: int) -> None:
+    """Train in processes of their own, all but the last killed at random moments."""
+    code = (
+        "from pathlib import Path; from qdil import run; from qdil.config import make_config; run.SAVE_EVERY = 0.0;"
+        "run.SAVE_SHARE = 1e9; config = make_config('walker2d', 'true', 'smoke', iterations=40);"
+        f"run.train(config, Path({str(folder)!r}))"
+    )
+    rng = random.Random(0)
+    for _ in range(kills):
+        process = subprocess.Popen([sys.executable, "-c", code])
+        before = {path.name for path in (folder / "checkpoint").glob("*.npz")}
+        while process.poll() is None and {path.name for path in (folder / "checkpoint").glob("*.npz")} == before:
+            time.sleep(0.05)
+        time.sleep(rng.uniform(0.0, 0.7))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.slow
+def test_ten_kills_change_nothing(tmp_path):
+    run.train(make_config("walker2d", "true", "smoke", iterations=40), tmp_path / "whole")
+    killed_at_random(tmp_path / "killed", 10)
+    assert same_run(tmp_path / "killed", tmp_path / "whole")
