@@ -15,19 +15,26 @@ from jax.sharding import PartitionSpec as P
 from qdil import phases
 from qdil.config import Config
 from qdil.imitation.methods import reward_model
-from qdil.imitation.registry import parse_method
+from qdil.imitation.registry import name_of, parse_method
 from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.phases import Search, State, Trained
+from qdil.robots import brax_robots
 from qdil.search import evaluate, vppo
 from qdil.search.evaluate import Episodes, Policies, Scores
 from qdil.sharding import AXIS, by_environment, choose_num_devices, make_mesh, replicated
 from qdil.types import RewardContext
 
-# The settings that the search's programs depend on.
+# The settings that the search's programs depend on, and those that a reward's do.
 SEARCH_SETTINGS = (
     "env", "backend", "candidates", "episodes", "sample_actions", "eval_chunk", "actor_hidden", "critic_hidden",
     "initial_std", "num_envs", "window", "episode_length", "minibatches", "gamma", "gae_lambda", "clip", "value_coef",
     "entropy_coef", "max_grad_norm", "learning_rate", "target_kl",
+)  # fmt: skip
+REWARD_SETTINGS = (
+    "env", "backend", "candidates", "episodes", "num_envs", "episode_length", "bonus_scope", "expert_obs",
+    "reward_hidden", "reward_learning_rate", "reward_steps", "reward_batch", "gradient_penalty", "penalty_mixing",
+    "vail_beta", "vail_information", "vail_beta_rate", "vail_latent", "giril_steps", "giril_learning_rate",
+    "giril_action_weight", "pwil_alpha", "pwil_beta", "pwil_coupling",
 )  # fmt: skip
 
 
@@ -77,9 +84,11 @@ class Compiled(NamedTuple):
 def compile_run(config: Config) -> Compiled:
     """Build every function of a run; each compiles when first called. Raises ConfigError or ValueError before that."""
     num_devices = choose_num_devices(config.devices, config.num_envs // 3, config.candidates)
-    only_search = replace(Config(), **{name: getattr(config, name) for name in SEARCH_SETTINGS})
-    programs = search_programs(only_search, num_devices)
-    rewards = reward_programs(config, programs.search.env, num_devices)
+    method = parse_method(config.method)
+    programs = search_programs(_only(SEARCH_SETTINGS, config), num_devices)
+    # The bonus is an argument of the programs, so methods that differ in it alone share them.
+    without_bonus = method._replace(bonus=False)
+    rewards = reward_programs(_only(REWARD_SETTINGS, config, method=name_of(without_bonus)), num_devices)
     return Compiled(
         programs.search,
         rewards.model,
@@ -93,6 +102,11 @@ def compile_run(config: Config) -> Compiled:
         episodes=programs.episodes,
         place=programs.place,
     )
+
+
+def _only(names: tuple[str, ...], config: Config, **changes: Any) -> Config:
+    """``config`` with every setting but ``names`` as by default, so that equal programs are recognised."""
+    return replace(Config(), **{name: getattr(config, name) for name in names}, **changes)
 
 
 @lru_cache(maxsize=8)
@@ -111,9 +125,9 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
         fork=jax.jit(partial(vppo.fork, copies=search.streams), out_shardings=whole),
         collect=shard(partial(vppo.collect, search.env, search.settings), (all_, all_, each), (each, window, window)),
         learn=shard(
-            partial(vppo.learn, search.settings),
-            (all_, all_, each, window, window, window, all_, all_, all_),
-            (all_, all_, each, all_),
+            lambda key, update, *args: vppo.learn(search.settings, jax.random.fold_in(key, update), *args),
+            (all_, all_, all_, all_, window, window, window, all_, all_, all_),
+            all_,
         ),
         unfork=jax.jit(phases.unfork, out_shardings=whole),
         give_up=jax.jit(partial(phases.give_up, copies=search.streams), out_shardings=(split, whole)),
@@ -128,9 +142,10 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     )
 
 
-def reward_programs(config: Config, env: Any, num_devices: int) -> RewardPrograms:
-    """The programs of the reward that ``config.method`` names."""
-    model = reward_model(config, env)
+@lru_cache(maxsize=64)
+def reward_programs(config: Config, num_devices: int) -> RewardPrograms:
+    """The programs of the reward that ``config.method`` names, for the ``REWARD_SETTINGS`` of ``config``."""
+    model = reward_model(config, brax_robots.make(config.env, config.backend))
     mesh = make_mesh(num_devices)
     whole, split = replicated(mesh), by_environment(mesh)
     shard = partial(_sharded, mesh)
@@ -186,17 +201,19 @@ def _train(
     """
     how = weights, jnp.asarray(tied, bool), jnp.asarray(epochs, jnp.int32)
     paid = jnp.asarray(bonus, jnp.float32)
+    key, learn_key = jax.random.split(state.key)
     learner, stats, actors, carry = programs.fork(state.learner), state.stats, state.actors, state.reward_carry
-    for _ in range(num_updates):
+    for update in range(num_updates):
         actors, transitions, choice = programs.collect(learner, stats, actors)
         carry, fitness = rewards.pay(state.reward, carry, RewardContext(stats, occupied), paid, transitions)
-        learner, stats, actors, info = programs.learn(learner, stats, actors, transitions, choice, fitness, *how)
+        number = jnp.asarray(update, jnp.int32)
+        learner, stats, info = programs.learn(learn_key, number, learner, stats, transitions, choice, fitness, *how)
     first, theta, healthy = programs.unfork(learner, stats)
     if bool(healthy):
-        state = State(state.key, first, stats, actors, state.reward, carry)
+        state = State(key, first, stats, actors, state.reward, carry)
     else:
         actors, theta = programs.give_up(state.actors, state.learner.policy)
-        state = state._replace(actors=actors)
+        state = state._replace(key=key, actors=actors)
     return Trained(state, theta, transitions, {**info, "rolled_back": 1.0 - healthy})
 
 

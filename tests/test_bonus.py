@@ -1,5 +1,7 @@
 """The measure bonus against slow loops over episodes, and its grid against pyribs'."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ TIME, ENVS, BEFORE = 9, 4, 5  # steps in a window, robots, steps that were taken
 
 jitted_measures = jax.jit(episode_measures)
 jitted_empty = jax.jit(is_empty)
+jitted_window_bonus = jax.jit(partial(measure_bonus, scope="window"))
 
 
 def cut_window(proxy, ended):
@@ -94,3 +97,34 @@ def test_bonus_is_p_plus_q_in_empty_cells_all_episode_long():
     same_episode = ~np.asarray(window.ended[:-1])
     assert {0.25, 2.25} == set(np.unique(bonus))
     np.testing.assert_array_equal(np.asarray(bonus[1:])[same_episode], np.asarray(bonus[:-1])[same_episode])
+
+
+def test_bonus_of_a_window_by_hand():
+    # One robot, one foot, four steps in two episodes: down, down | up, down. The window's measure is 3/4 throughout.
+    steps = transitions(
+        4,
+        1,
+        k=1,
+        proxy=np.float32([1, 1, 0, 1]).reshape(4, 1, 1),
+        measures_so_far=np.float32([1, 1, 0, 1 / 2]).reshape(4, 1, 1),
+        terminated=np.array([0, 1, 0, 0], bool)[:, None],
+    )
+    only_above_three_quarters = jnp.array([False, False, False, True])
+    bonus = measure_bonus(steps, only_above_three_quarters, 0.25, 2.0, scope="window")
+    assert np.ravel(bonus).tolist() == [0.25] * 4
+    by_episode = measure_bonus(steps, only_above_three_quarters, 0.25, 2.0, scope="episode")
+    assert np.ravel(by_episode).tolist() == [0.25, 0.25, 2.25, 2.25]
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_bonus_of_a_window_agrees_with_a_slow_loop(seed, chance):
+    rng = np.random.default_rng(seed)
+    shape = (BEFORE + TIME, ENVS)
+    window, _ = cut_window(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < chance)
+    occupied = rng.random((4, 4)) < 0.5
+    bonus = jitted_window_bonus(window, jnp.asarray(occupied), 0.25, 2.0)
+    for e in range(ENVS):
+        down = [sum(float(window.proxy[t, e, foot]) for t in range(TIME)) for foot in (0, 1)]
+        i, j = (min(int(4 * d / TIME), 3) for d in down)  # nine steps: no share falls on a line but 0 and 1
+        for t in range(TIME):
+            assert bonus[t, e] == (0.25 if occupied[i, j] else 2.25)

@@ -195,3 +195,88 @@ def test_help_names_every_setting():
 def test_json_round_trip(budget):
     config = make_config("humanoid", "mcond-gail", budget, seed=5)
     assert from_json(json.loads(json.dumps(to_json(config)))) == config
+
+
+# The released program's choices
+
+
+RELEASED_BY_HAND = {
+    "selection": "true",
+    "walk_weights": "fitness",
+    "bonus_scope": "window",
+    "bonus_p": 0.0,
+    "bonus_q": 2.0,
+    "expert_alignment": "shifted",
+    "expert_obs": "raw",
+    "penalty_mixing": "element",
+    "vail_beta": "fixed",
+    "pwil_coupling": "step",
+}
+
+
+@pytest.mark.parametrize("budget", BUDGETS)
+@pytest.mark.parametrize("method", ["true", "mconbo-gail", "vail-obs", "mbo-airl"])
+def test_the_released_protocol_changes_what_it_lists_and_nothing_else(budget, method):
+    usual, released = (asdict(make_config("humanoid", method, budget, protocol=p)) for p in ("paper", "released"))
+    assert usual == asdict(make_config("humanoid", method, budget))
+    assert released == usual | RELEASED_BY_HAND | {"protocol": "released"}
+    assert all(usual[name] != value for name, value in RELEASED_BY_HAND.items())
+
+
+@pytest.mark.parametrize("name", list(RELEASED_BY_HAND))
+def test_an_explicit_setting_wins_over_the_protocol(name):
+    papers = asdict(make_config("walker2d", "mconbo-vail", "smoke"))[name]
+    config = make_config("walker2d", "mconbo-vail", "smoke", protocol="released", **{name: papers})
+    assert {n: asdict(config)[n] for n in RELEASED_BY_HAND} == RELEASED_BY_HAND | {name: papers}
+
+
+# Rewards of either sign
+
+
+SIGNED = ("airl", "maxent", "zero")
+
+
+@pytest.mark.parametrize("env", ROBOTS)
+@pytest.mark.parametrize(("budget", "length"), [("full", 1000), ("laptop", None), ("smoke", 50)])
+@pytest.mark.parametrize("method", method_names())
+def test_archives_of_rewards_that_may_be_negative_start_low(env, budget, length, method):
+    length = length or (200 if env == "halfcheetah" else 300)
+    config = make_config(env, method, budget)
+    assert config.episode_length == length
+    assert (config.threshold_min == -10.0 * length) == (parse_method(method).base in SIGNED)
+
+
+def test_the_low_start_follows_the_episodes_length_and_gives_way():
+    assert make_config("walker2d", "mconbo-airl", "laptop", episode_length=7).threshold_min == -70
+    assert make_config("walker2d", "airl-obs", "laptop", threshold_min=3.0).threshold_min == 3
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "protocol", "expert_alignment", "expert_obs", "bonus_scope", "penalty_mixing", "vail_beta", "pwil_coupling",
+        "walk_weights", "selection", "backend",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("wrong", ["", "neither", "Paper", "raw,normalised", None])
+def test_choices_refuse_what_is_none_of_theirs(name, wrong):
+    sentence = refused(make_config, "walker2d", "gail", "smoke", **{name: wrong})
+    assert sentence.startswith(f"{name}=") and str(getattr(Config, name)) in sentence
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("vail_information", -0.1),
+        ("vail_beta_rate", 0.0),
+        ("vail_latent", 0),
+        ("giril_steps", 0),
+        ("giril_learning_rate", 0.0),
+        ("giril_action_weight", -1.0),
+        ("pwil_alpha", 0.0),
+        ("pwil_beta", -5.0),
+        ("gradient_penalty", float("inf")),
+    ],
+)
+def test_reward_settings_that_cannot_work_are_refused(name, value):
+    assert refused(make_config, "walker2d", "vail", "smoke", **{name: value}).startswith(f"{name}=")

@@ -194,3 +194,126 @@ def test_columns_that_do_not_fit_are_refused(tmp_path, rows, name):
 def test_no_rows_are_refused(tmp_path, rows):
     demos.save(tmp_path / "demos.npz", {name: values[:0] for name, values in rows.items()}, WALKER)
     refused(tmp_path / "demos.npz")
+
+
+def refused_by(call, *args) -> str:
+    """The one sentence with which ``call`` refuses its arguments."""
+    with pytest.raises(ValueError) as error:
+        call(*args)
+    sentence = str(error.value)
+    assert "\n" not in sentence and sentence.endswith(".")
+    return sentence
+
+
+@pytest.mark.parametrize("alignment", ["aligned", "shifted"])
+@pytest.mark.parametrize("how", ["left out", "of width 0"])
+def test_actions_may_be_missing_where_nobody_needs_them(tmp_path, rows, how, alignment):
+    path = tmp_path / "demos.npz"
+    rows = rows | {"action": np.zeros((7, 0), np.float32), "episode": np.zeros(7, int)}
+    demos.save(path, {name: values for name, values in rows.items() if how != "left out" or name != "action"}, WALKER)
+    loaded = demos.load(path, "walker2d", "spring", False, alignment)
+    assert loaded.action.shape == (len(loaded.obs), 0)
+    if alignment == "aligned":
+        np.testing.assert_array_equal(loaded.obs, rows["obs"])
+    sentence = refused_by(demos.load, path, "walker2d", "spring", True, alignment)
+    assert str(path) in sentence and "no actions" in sentence and "-obs" in sentence
+
+
+def test_only_actions_may_be_missing(tmp_path, rows):
+    path = tmp_path / "demos.npz"
+    for name in ("obs", "next_obs", "proxy"):
+        demos.save(path, {other: values for other, values in rows.items() if other not in (name, "action")}, WALKER)
+        assert f"no {name}" in refused_by(demos.load, path, "walker2d", "spring", False).replace("action, ", "")
+    only_a_number = {name: values for name, values in rows.items() if name != "action"} | {"obs": np.float32(1)}
+    demos.save(path, only_a_number, WALKER)
+    refused_by(demos.load, path, "walker2d", "spring", False)
+
+
+# The released program's pairs
+
+
+class Drawn:
+    """In place of a random generator: the numbers that a test chose."""
+
+    def __init__(self, *numbers: int):
+        self.numbers = list(numbers)
+
+    def integers(self, below: int) -> int:
+        assert below == 20
+        return self.numbers.pop(0)
+
+
+def episodes_of(*lengths):
+    """Episodes whose numbers tell where they belong: s_t = 100 e + t, a_t = s_t + ½, δ(s_t) = −s_t."""
+    parts = []
+    for e, length in enumerate(lengths):
+        s = (100 * e + np.arange(length + 1, dtype=np.float32))[:, None]
+        proxy = np.repeat(-s[:-1], 2, axis=1)
+        parts.append({"obs": s[:-1], "action": s[:-1] + 0.5, "next_obs": s[1:], "proxy": proxy})
+        parts[-1]["episode"] = np.full(length, e)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def test_shifted_pairs_by_hand():
+    # Four steps, one step late; and two steps, as late as two steps can be.
+    data = demos.shifted(episodes_of(4, 2), Drawn(1, 19))
+    assert data["obs"][:, 0].tolist() == [2, 3, 4, 102]
+    assert data["action"][:, 0].tolist() == [0.5, 1.5, 2.5, 100.5]
+    assert data["next_obs"][:, 0].tolist() == [3, 4, 4, 102]  # nothing is known after the last state
+    assert data["proxy"].tolist() == [[-2, -2], [-3, -3], [-3, -3], [-101, -101]]  # nor is its own proxy
+    in_time = demos.shifted(episodes_of(3), Drawn(0))
+    assert in_time["obs"][:, 0].tolist() == [1, 2, 3] and in_time["action"][:, 0].tolist() == [0.5, 1.5, 2.5]
+
+
+def test_shifted_pairs_are_a_lag_of_each_episodes_own():
+    lengths, lags = [30] * 40 + [1, 5], []
+    data = demos.shifted(episodes_of(*lengths), np.random.default_rng(0))
+    for e, length in enumerate(lengths):
+        mine = np.floor(data["action"][:, 0] / 100) == e
+        lag = length - mine.sum()
+        lags.append(lag)
+        t = np.arange(length - lag)
+        assert data["action"][mine, 0].tolist() == (100 * e + t + 0.5).tolist()
+        assert data["obs"][mine, 0].tolist() == (100 * e + t + 1 + lag).tolist()
+        assert data["next_obs"][mine, 0].tolist() == (100 * e + np.minimum(t + 2 + lag, length)).tolist()
+        assert data["proxy"][mine, 1].tolist() == (-100 * e - np.minimum(t + 1 + lag, length - 1)).tolist()
+    assert min(lags[:40]) == 0 and max(lags) <= 19 and len(set(lags[:40])) > 10 and lags[40] == 0
+
+
+def test_a_file_is_shifted_by_its_seed(tmp_path):
+    path, recorded = tmp_path / "demos.npz", episodes_of(30, 40, 25)
+    demos.save(path, recorded, WALKER)
+    first, again, other = (demos.load(path, "walker2d", "spring", True, "shifted", seed) for seed in (1, 1, 2))
+    expected = demos.shifted(recorded, np.random.default_rng(1))
+    for name in demos.FIELDS:
+        np.testing.assert_array_equal(getattr(first, name), expected[name])
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+    assert not np.array_equal(first.obs, other.obs)
+    np.testing.assert_array_equal(demos.load(path, "walker2d", "spring").obs, recorded["obs"])
+
+
+def test_a_file_cannot_be_shifted_without_its_episodes(tmp_path, rows):
+    path = tmp_path / "demos.npz"
+    demos.save(path, rows, WALKER)
+    assert "no episode" in refused_by(demos.load, path, "walker2d", "spring", True, "shifted")
+    demos.save(path, rows | {"episode": np.zeros(6, int)}, WALKER)
+    refused_by(demos.load, path, "walker2d", "spring", True, "shifted")
+
+
+# Fitting a robot
+
+
+@pytest.mark.parametrize("actions", [2, 0])
+def test_what_is_as_wide_as_the_robot_fits(actions):
+    robot = WALKER._replace(obs_size=3, action_size=2)
+    demos.check_fits(demos.Demonstrations(*(np.zeros((4, width)) for width in (3, actions, 3, 2))), robot)
+
+
+@pytest.mark.parametrize("name", demos.FIELDS)
+@pytest.mark.parametrize("more", [-1, 1])
+def test_what_is_not_as_wide_as_the_robot_is_refused(name, more):
+    widths = {"obs": 3, "action": 2, "next_obs": 3, "proxy": 2}
+    robot = WALKER._replace(obs_size=3, action_size=2)
+    columns = {n: np.zeros((4, width + more * (n == name))) for n, width in widths.items()}
+    sentence = refused_by(demos.check_fits, demos.Demonstrations(**columns), robot)
+    assert f"{name} of width {widths[name] + more}" in sentence and f"walker2d has {widths[name]}" in sentence

@@ -4,43 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from probes import counter, obs_stats, transitions
+from probes import ACTIONS, CONTEXT, OBS, PROXIES, STATS, built, demos_of, steps_of
 
-from qdil.config import make_config
-from qdil.imitation.methods import reward_model
-from qdil.imitation.reward_model import Demonstrations, expert_inputs, features, policy_inputs
+from qdil.imitation.reward_model import expert_inputs, features, policy_inputs
 from qdil.imitation.rewards.gail import GailState, discriminator_loss, gradient_penalty, logits, mixing_weights
 from qdil.search import networks
-from qdil.types import RewardContext
-
-OBS, ACTIONS, PROXIES = 3, 2, 2
-ROBOT = counter(4.0)._replace(obs_size=OBS, action_size=ACTIONS)
-STATS = obs_stats([1.0, -2.0, 0.0], [2.0, 0.5, 1.0])
-CONTEXT = RewardContext(STATS, jnp.zeros((4, 4), bool))
-
-
-def steps_of(rng, time=8, envs=16, shift=0.0):
-    """Random policy steps, moved by ``shift`` deviations."""
-
-    def draw(width):
-        return rng.normal(size=(time, envs, width)).astype(np.float32)
-
-    obs, next_obs = (STATS.mean + STATS.std * (draw(OBS) + shift) for _ in range(2))
-    proxy = (draw(PROXIES) > 0).astype(np.float32)
-    fields = {"obs": obs, "next_obs": next_obs, "action": np.tanh(draw(ACTIONS)), "proxy": proxy}
-    return transitions(time, envs, OBS, ACTIONS, PROXIES, **fields)
-
-
-def demos_of(steps) -> Demonstrations:
-    """The same steps as expert rows."""
-    return Demonstrations(*(getattr(steps, n).reshape(-1, getattr(steps, n).shape[-1]) for n in Demonstrations._fields))
-
-
-def built(method: str, **settings):
-    """A reward model by name, small unless ``settings`` say otherwise."""
-    settings = {"reward_hidden": (8,), "reward_steps": 3, "reward_batch": 16} | settings
-    return reward_model(make_config("walker2d", method, "smoke", **settings), ROBOT)
-
 
 # The loss
 

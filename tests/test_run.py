@@ -1,13 +1,14 @@
 """Whole smoke runs on walker2d through the command line: expert, demonstrations, GAIL and MConbo-GAIL."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from qdil import run
+from qdil import plan, run, verify
 from qdil.cli import main
 from qdil.config import make_config
 from qdil.files import sha256
@@ -111,6 +112,44 @@ def test_more_demonstrations_than_elites_are_refused(made, tmp_path, capsys):
     arguments = ["--env", "walker2d", "--budget", "smoke", "--expert", made / "true", "--out", tmp_path / "d.npz"]
     assert qdil("demos", *arguments, "--episodes", 500) == 2
     assert "only" in capsys.readouterr().err
+
+
+def test_verify_finds_a_run_as_it_was(made, capsys):
+    assert qdil("verify", made / "gail") == 0
+    said = capsys.readouterr().out
+    assert "as the manifest says" in said and "elites on new episodes" in said
+    found = verify.verify(made / "true")
+    elites = run.read_archive(made / "true")
+    assert found.sampled == min(8, len(elites["index"])) and set(found.returns[:, 0]) <= set(elites["true_return"])
+    before, after = found.returns.mean(axis=0)
+    assert after == pytest.approx(before, rel=0.5) and (found.moved < 0.5).all()
+
+
+def test_verify_notices_what_was_changed_or_lost(made, tmp_path, capsys):
+    copy = tmp_path / "run"
+    shutil.copytree(made / "true", copy)
+    with open(copy / "metrics.csv", "a") as file:
+        file.write("\n")
+    assert qdil("verify", copy) == 1
+    assert "metrics.csv: not what the manifest says" in capsys.readouterr().out
+    shutil.copy(made / "true" / "metrics.csv", copy)
+    (copy / "policies.npz").unlink()
+    assert qdil("verify", copy) == 0
+    said = capsys.readouterr().out
+    assert "policies.npz: missing" in said and "No policies here" in said
+    assert qdil("verify", tmp_path / "nowhere") == 2
+
+
+def test_a_dry_run_plans_and_trains_nothing(tmp_path, capsys):
+    arguments = ["--env", "walker2d", "--method", "mconbo-gail", "--budget", "smoke", "--set", "iterations=7"]
+    assert qdil("train", *arguments, "--dry-run", "--out", tmp_path / "run") == 0
+    said = capsys.readouterr().out
+    assert '"iterations": 7' in said and "estimate:" in said
+    config = make_config("walker2d", "mconbo-gail", "smoke", iterations=7)
+    planned = plan.plan(config)
+    assert planned.training_steps == 7 * 2 * 16 * 24 and planned.evaluation_steps == 7 * 8 * 2 * 50
+    assert 0 < planned.seconds < 600
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow

@@ -167,6 +167,23 @@ def test_gradients_and_walk_share_one_program_and_differ_as_they_should(search):
     assert not np.array_equal(tied.theta[0], networks.flatten(state.learner.policy))
 
 
+@pytest.mark.skipif(jax.local_device_count() < 2, reason="one device only")
+def test_one_device_does_what_two_do(search):
+    """Up to rounding, which physics amplifies: the learned parameters, the statistics, the scores."""
+    occupied = jnp.asarray(archive.occupied(search.archives))
+    done = []
+    for devices in (1, 2):
+        run = ppga.begin(replace(search.config, devices=devices), None)
+        trained = run.compiled.train(run.state, occupied, jnp.eye(3), False, 1, 2)
+        policies, _ = run.compiled.branch(run.state, trained.theta, jnp.ones((run.config.candidates, 3)))
+        scores = ppga.evaluate(run, policies, jax.random.key(4))
+        done.append((np.asarray(trained.theta), np.asarray(trained.state.stats.mean), scores))
+    np.testing.assert_allclose(done[0][0], done[1][0], atol=2e-3)
+    np.testing.assert_allclose(done[0][1], done[1][1], atol=1e-3)
+    np.testing.assert_allclose(done[0][2].true_return, done[1][2].true_return, rtol=0.05, atol=1.0)
+    np.testing.assert_allclose(done[0][2].measures, done[1][2].measures, atol=0.05)
+
+
 def test_zero_epochs_collect_data_and_leave_the_policy_alone(search):
     compiled, state = search.compiled, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))

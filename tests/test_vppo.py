@@ -155,8 +155,9 @@ def compile_updates(settings=SETTINGS, num_devices=1, copies=K):
             learner, stats, actors, carry = state
             actors, steps, choice = vppo.collect(env, settings, learner, stats, actors)
             carry, fitness = true_rewards(carry, stats, steps)
-            learner, stats, actors, info = vppo.learn(
-                settings, learner, stats, actors, steps, choice, fitness, weights, tied, epochs
+            key = jax.random.fold_in(jax.random.key(3), stats.seen.astype(int))
+            learner, stats, info = vppo.learn(
+                settings, key, learner, stats, steps, choice, fitness, weights, tied, epochs
             )
             return learner, stats, actors, carry, steps, info
 

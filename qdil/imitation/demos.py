@@ -94,10 +94,10 @@ def load(
 ) -> Demonstrations:
     """Read and check a demonstrations file.
 
-    A file without an ``action`` column is welcome where ``needs_actions`` is False. ``alignment`` "shifted" pairs
-    states with actions as the authors' released program does, see ``shifted``. Raises ValueError in one sentence for a
-    missing or unreadable file, another robot's or backend's demonstrations, missing columns, unequal rows, no rows, or
-    numbers that are not finite.
+    A file without an ``action`` column, or with one of width 0, is welcome where ``needs_actions`` is False.
+    ``alignment`` "shifted" pairs states with actions as the authors' released program does, see ``shifted``. Raises
+    ValueError in one sentence for a missing or unreadable file, another robot's or backend's demonstrations, missing
+    columns, unequal rows, no rows, or numbers that are not finite.
     """
     if not path.is_file():
         raise ValueError(f"no demonstrations at {path}: make them with 'qdil demos --env {robot}'.")
@@ -106,18 +106,19 @@ def load(
             data = {name: file[name] for name in file.files}
     except Exception as error:  # zipfile, zlib and numpy each have errors of their own for what is not an .npz
         raise ValueError(f"{path} is damaged or not a demonstrations file ({type(error).__name__}).") from None
-    missing = [name for name in (*FIELDS, "robot", "backend") if name not in data]
+    columns = (*FIELDS, "episode") if alignment == "shifted" else FIELDS
+    missing = [name for name in (*columns, "robot", "backend") if name not in data]
     if missing == ["action"]:
-        if needs_actions:
-            raise ValueError(f"{path} has no actions: only the methods that end in -obs can learn from it.")
-        data["action"] = np.zeros((len(data["obs"]), 0), np.float32)
-    elif missing:
+        missing, data["action"] = [], np.zeros((*data["obs"].shape[:1], 0), np.float32)
+    if missing:
         raise ValueError(f"{path} is not a demonstrations file: it has no {', '.join(missing)}.")
     if str(data["robot"]) != robot or str(data["backend"]) != backend:
         raise ValueError(
             f"{path} holds demonstrations of {data['robot']} on {data['backend']}, not of {robot} on {backend}."
         )
-    lengths = {data[name].shape[0] if data[name].ndim == 2 else 0 for name in FIELDS}
+    if needs_actions and data["action"].shape[1:] == (0,):
+        raise ValueError(f"{path} has no actions: only the methods that end in -obs can learn from it.")
+    lengths = {data[name].shape[0] if data[name].ndim == (1 if name == "episode" else 2) else 0 for name in columns}
     if len(lengths) != 1 or 0 in lengths:
         raise ValueError(f"{path} has columns of {sorted(lengths)} rows; they must be tables that agree and not empty.")
     if not all(data[name].dtype.kind == "f" and np.isfinite(data[name]).all() for name in FIELDS):

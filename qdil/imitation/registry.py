@@ -63,6 +63,7 @@ def register(name: str, summary: str, imitates: bool = True, signed: bool = Fals
     """
 
     def remember(build: Any) -> Any:
+        import_module(BUILT_IN)  # the paper's come first and keep their names, whoever is imported first
         taken = _BASES.get(name)
         if taken is not None and taken.build is not build:
             raise ValueError(f"there is already a reward model called '{name}'.")
@@ -106,6 +107,12 @@ def parse_method(name: str) -> Method:
             )
         return Method(rest, conditioned, bonus, obs_only)
     raise ConfigError(f"unknown method '{name}'; choose one of {', '.join(method_names())}.")
+
+
+def name_of(method: Method) -> str:
+    """Undo ``parse_method``."""
+    prefix = next(p for p, parts in PREFIXES.items() if parts == (method.conditioned, method.bonus))
+    return prefix + method.base + (OBS_ONLY if method.obs_only else "")
 
 
 def method_names() -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdil.search.normalise import init_obs_stats, normalise_obs
+from qdil.search.normalise import normalise_obs
 from qdil.types import ObsStats, RewardContext, Transitions
 
 
@@ -106,7 +106,11 @@ def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> 
     ``raw_expert`` leaves expert observations as they were recorded, against normalised policy observations: a mistake
     of the authors' released program (``expert_obs=raw``), for whoever wants to measure it.
     """
-    as_recorded = init_obs_stats(1)
+
+    def expert_rows(demos: Demonstrations, stats: ObsStats) -> Inputs:
+        # Inputs of the recorded numbers themselves, which the normaliser would cut.
+        recorded = Inputs(demos.obs, demos.action, demos.next_obs, demos.proxy)
+        return select(recorded if raw_expert else expert_inputs(demos, stats))
 
     def stats_of(state: _OverInputs, context: RewardContext) -> ObsStats:
         return state.expert_stats if model.normaliser == "expert" else context.obs_stats
@@ -114,7 +118,7 @@ def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> 
     def init(key: jax.Array, demos: Demonstrations | None) -> _OverInputs:
         assert demos is not None, "a model that imitates needs demonstrations"
         stats = expert_stats(demos)
-        return _OverInputs(stats, model.init(key, select(expert_inputs(demos, as_recorded if raw_expert else stats))))
+        return _OverInputs(stats, model.init(key, expert_rows(demos, stats)))
 
     def begin(state: _OverInputs, num_envs: int) -> Any:
         return model.begin(state.inner, num_envs)
@@ -127,8 +131,8 @@ def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> 
         key: jax.Array, state: _OverInputs, context: RewardContext, demos: Demonstrations, transitions: Transitions
     ) -> Any:
         stats = stats_of(state, context)
-        expert = select(expert_inputs(demos, as_recorded if raw_expert else stats))
-        inner, info = model.update(key, state.inner, expert, select(policy_inputs(transitions, stats)))
+        policy = select(policy_inputs(transitions, stats))
+        inner, info = model.update(key, state.inner, expert_rows(demos, stats), policy)
         return state._replace(inner=inner), info
 
     return RewardModel(init, begin, reward, update, model.learns)

@@ -4,7 +4,7 @@ import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -55,6 +55,7 @@ def _quiet() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
+@cache
 def make(name: str, backend: str = "spring") -> Environment:
     """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
 

@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 from qdil.robots.environment import Environment
 from qdil.search import networks
 from qdil.search.normalise import ReturnStats, init_return_stats, normalise_obs, update_obs_stats, update_return_stats
-from qdil.search.rollout import Act, Actors, split_each, window
+from qdil.search.rollout import Act, Actors, window
 from qdil.sharding import AXIS
 from qdil.types import Choice, ObsStats, Params, Transitions
 
@@ -214,11 +214,14 @@ def _normalised(advantage: jax.Array, tied: jax.Array) -> jax.Array:
 
 
 def _shuffled(batch: Batch, order: jax.Array, minibatches: int) -> Batch:
-    """Cut (K, T, E) data into minibatches (M, K, T/M, E), each robot's steps in its own random ``order`` (K, T, E)."""
+    """Cut (K, T, E) data into minibatches (M, K, T/M, E), the moments of time in random ``order`` (T,).
+
+    All robots share the order, so that whole rows move: a minibatch holds some moments of every robot. Robots are out
+    of step, so the moments are of all parts of their episodes.
+    """
 
     def cut(x: jax.Array) -> jax.Array:
-        index = order.reshape(order.shape + (1,) * (x.ndim - 3))
-        x = jnp.take_along_axis(x, index, axis=1)
+        x = jnp.take(x, order, axis=1)
         return jnp.moveaxis(x.reshape(x.shape[0], minibatches, -1, *x.shape[2:]), 1, 0)
 
     return jax.tree.map(cut, batch)
@@ -237,9 +240,8 @@ def _learn(
 
     def epoch(carry):
         i, learner, active, _, key = carry
-        key, order_key = split_each(key)
-        order = jax.vmap(lambda k: jax.random.permutation(k, length))(order_key)  # (E, T)
-        parts = _shuffled(batch, to_copies(order.T, copies, axis=1), settings.minibatches)
+        key, order_key = jax.random.split(key)
+        parts = _shuffled(batch, jax.random.permutation(order_key, length), settings.minibatches)
         normalised = jax.vmap(lambda a: _normalised(a, tied), in_axes=1, out_axes=1, axis_name=COPIES)
         parts = parts._replace(advantage=normalised(parts.advantage))
         learner, kl = jax.lax.scan(lambda le, part: step(le, active, part), learner, parts)
@@ -266,20 +268,21 @@ def collect(
 
 def learn(
     settings: Settings,
+    key: jax.Array,
     learner: Learner,
     stats: ObsStats,
-    actors: Actors,
     transitions: Transitions,
     choice: Choice,
     fitness: jax.Array,
     weights: jax.Array,
     tied: jax.Array,
     epochs: jax.Array,
-) -> tuple[Learner, ObsStats, Actors, dict[str, jax.Array]]:
+) -> tuple[Learner, ObsStats, dict[str, jax.Array]]:
     """What K copies learn from a window that ``collect`` gave, with one ``fitness`` reward (T, E) per step.
 
     The reward streams are ``fitness`` and δ. ``weights`` (K, 1+k) is the weighting each copy maximises; with ``tied``
-    its rows must be equal. Moves the observation statistics too. Runs inside ``shard_map``.
+    its rows must be equal. ``key`` shuffles, the same on every device. Moves the observation statistics too. Runs
+    inside ``shard_map``.
     """
     copies = weights.shape[0]
     streams = jnp.concatenate([fitness[..., None], transitions.proxy], axis=-1)
@@ -289,8 +292,7 @@ def learn(
         return _prepare(learner, *mine, weights, tied, stats, settings)
 
     learner, batch = jax.vmap(prepare, axis_name=COPIES)(learner, mine, weights)
-    key, learn_key = split_each(actors.key)
-    learner, kl = _learn(learner, batch, learn_key, tied, epochs, settings)
+    learner, kl = _learn(learner, batch, key, tied, epochs, settings)
     info = {
         "approx_kl": jnp.mean(kl),
         "fitness_reward": jax.lax.pmean(jnp.mean(fitness), AXIS),
@@ -299,4 +301,4 @@ def learn(
         "proxy": jax.lax.pmean(jnp.mean(transitions.proxy, axis=(0, 1)), AXIS),
         "action_std": jnp.mean(jnp.exp(learner.policy["log_std"])),
     }
-    return learner, update_obs_stats(stats, transitions.obs), actors._replace(key=key), info
+    return learner, update_obs_stats(stats, transitions.obs), info

@@ -1,0 +1,60 @@
+"""The arithmetic of ``qdil bench``; the measurements themselves only where whole runs are allowed."""
+
+import json
+
+import pytest
+
+from qdil import bench
+from qdil.cli import main
+
+
+def test_ratios_are_taken_within_a_round():
+    # The machine slows down fourfold from round to round; the ratio must not notice.
+    taken = {
+        "simulator": [(100.0, 1.0), (100.0, 4.0), (100.0, 16.0)],
+        "iteration": [(50.0, 1.0), (50.0, 4.0), (50.0, 16.0)],
+    }
+    speeds, over = bench._against(taken, "simulator")
+    assert over == {"simulator": 1.0, "iteration": 0.5}
+    assert speeds == {"simulator": 25.0, "iteration": 12.5}
+
+
+def test_every_work_is_done_once_before_it_is_timed():
+    calls = []
+
+    def work(name):
+        calls.append(name)
+        return 1.0, 1.0
+
+    taken = bench._in_turns({"a": lambda: work("a"), "b": lambda: work("b")}, 2)
+    assert calls == ["a", "b", "a", "b", "a", "b"]
+    assert taken == {"a": [(1.0, 1.0)] * 2, "b": [(1.0, 1.0)] * 2}
+
+
+def test_table_and_json_show_every_robot():
+    rows = {"walker2d": {"device_speedup": 1.83}, "humanoid": {"device_speedup": 1.9, "peak_memory_mb": 1024.0}}
+    assert json.loads(bench.as_json(rows)) == rows
+    lines = bench.table(rows).splitlines()
+    assert lines[0].split() == ["walker2d", "humanoid"]
+    assert lines[1].split() == ["device_speedup", "1.83", "1.9"] and lines[2].split()[1:] == ["nan", "1.02e+03"]
+
+
+@pytest.mark.parametrize("arguments", [["--env", "ant"], ["--budget", "huge"], ["--rounds", "0"]])
+def test_what_cannot_be_measured_is_refused(arguments, capsys):
+    assert main(["bench", *arguments]) == 2
+    assert capsys.readouterr().err.startswith("qdil: ")
+
+
+@pytest.mark.slow
+def test_all_promised_figures_are_measured(capsys):
+    assert main(["bench", "--env", "walker2d", "--budget", "smoke", "--rounds", "1", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["walker2d"]
+    promised = {
+        "simulator_steps_per_second",
+        "iteration_steps_per_second",
+        "iteration_over_simulator",
+        "device_speedup",
+    }
+    promised |= {"cold_start_seconds", "warm_start_seconds", "peak_memory_mb", "full_networks_over_floor"}
+    assert promised <= set(row) and all(value > 0 for value in row.values())
+    assert row["warm_start_seconds"] < row["cold_start_seconds"]
