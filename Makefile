@@ -6,13 +6,16 @@ RUN := $(VENV)/bin/python
 
 SWEEP ?=
 
-.PHONY: reproduce test lint sweep lock clean
+.PHONY: reproduce test test-slow lint sweep lock clean
 
 reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke, laptop or full)
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
 
 test: $(VENV)/.installed lint  ## lint, type check and every test
 	$(RUN) -m pytest
+
+test-slow: $(VENV)/.installed  ## whole runs on all robots, ten kills, the bench: many minutes
+	$(RUN) -m pytest -m slow
 
 lint: $(VENV)/.installed
 	$(VENV)/bin/ruff check .

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from probes import ACTIONS, CONTEXT, OBS, PROXIES, STATS, built, demos_of, forward, in_numpy, steps_of
 
-from qdil.imitation.reward_model import expert_inputs, hide, policy_inputs, rows
+from qdil.imitation.learning import rows
+from qdil.imitation.reward_model import expert_inputs, hide, policy_inputs
 
 SIZE = 16  # rows of each kind in a step of learning
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from probes import ACTIONS, CONTEXT, OBS, PROXIES, STATS, built, demos_of, steps_of
 
+from qdil.imitation.learning import Fitted
 from qdil.imitation.reward_model import expert_inputs, features, policy_inputs
-from qdil.imitation.rewards.gail import GailState, discriminator_loss, gradient_penalty, logits, mixing_weights
+from qdil.imitation.rewards.gail import discriminator_loss, gradient_penalty, logits, mixing_weights
 from qdil.search import networks
 
 # The loss
@@ -103,7 +104,7 @@ def test_reward_stays_finite_however_sure_the_discriminator():
     state = model.init(jax.random.key(0), demos_of(steps))
     for bias in (-1e4, 1e4):
         first, last = state.inner.params
-        sure = state._replace(inner=GailState([first, {**last, "b": jnp.array([bias])}], ()))
+        sure = state._replace(inner=Fitted([first, {**last, "b": jnp.array([bias])}], ()))
         _, reward = model.reward(sure, (), CONTEXT, steps)
         np.testing.assert_allclose(reward, max(bias, 0.0), rtol=1e-3)
 

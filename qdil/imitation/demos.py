@@ -121,7 +121,9 @@ def load(
     lengths = {data[name].shape[0] if data[name].ndim == (1 if name == "episode" else 2) else 0 for name in columns}
     if len(lengths) != 1 or 0 in lengths:
         raise ValueError(f"{path} has columns of {sorted(lengths)} rows; they must be tables that agree and not empty.")
-    if not all(data[name].dtype.kind == "f" and np.isfinite(data[name]).all() for name in FIELDS):
+    with np.errstate(over="ignore"):
+        data |= {name: data[name].astype(np.float32) for name in FIELDS if data[name].dtype.kind == "f"}
+    if not all(data[name].dtype == np.float32 and np.isfinite(data[name]).all() for name in FIELDS):
         raise ValueError(f"{path} contains numbers that are not finite, or no numbers at all.")
     if alignment == "shifted":
         data = shifted(data, np.random.default_rng(seed))

@@ -1,5 +1,6 @@
 """Names of methods: base reward models, the variants every base gets, and how another module adds a base."""
 
+import re
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
@@ -59,7 +60,8 @@ def register(name: str, summary: str, imitates: bool = True, signed: bool = Fals
     Import the module before asking for the method; or let its package declare it in the entry-point group
     ``qdil.rewards``, and the command line finds it too. ``imitates=False`` is for a reward without demonstrations: a
     function of the configuration alone that returns a ``RewardModel``; it has no conditioned and no ``-obs`` variant.
-    ``signed``: rewards may be negative. Raises ValueError for a name that is taken or cannot be told from a variant.
+    ``signed``: rewards may be negative. Raises ValueError for a name that is taken, or
+    cannot be told from a variant, or is no word.
     """
 
     def remember(build: Any) -> Any:
@@ -67,7 +69,11 @@ def register(name: str, summary: str, imitates: bool = True, signed: bool = Fals
         taken = _BASES.get(name)
         if taken is not None and taken.build is not build:
             raise ValueError(f"there is already a reward model called '{name}'.")
-        if not name or name.endswith(OBS_ONLY) or any(name.startswith(prefix) for prefix in PREFIXES if prefix):
+        if not re.fullmatch("[a-z][a-z0-9_-]*", name):
+            raise ValueError(
+                f"'{name}' cannot name a reward model: use small letters, digits, - and _ (it names folders)."
+            )
+        if name.endswith(OBS_ONLY) or any(name.startswith(prefix) for prefix in PREFIXES if prefix):
             raise ValueError(f"'{name}' cannot name a reward model: it reads like a variant of another.")
         _BASES[name] = Base(name, summary, build, imitates, signed)
         return build
@@ -79,7 +85,13 @@ def register(name: str, summary: str, imitates: bool = True, signed: bool = Fals
 def _load() -> None:
     import_module(BUILT_IN)
     for entry in entry_points(group=ENTRY_POINTS):
-        entry.load()
+        try:
+            entry.load()
+        except Exception as error:  # whatever a stranger's module may raise
+            raise ConfigError(
+                f"the reward models of the installed entry point '{entry.name}' cannot be loaded ({error!r}): "
+                "mend or uninstall its package."
+            ) from error
 
 
 def bases() -> dict[str, Base]:

@@ -1,6 +1,5 @@
 """What a reward model is: a value of pure functions; over what inputs; and the transformations that make variants."""
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -141,31 +140,3 @@ def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> 
 def features(inputs: Inputs) -> jax.Array:
     """(s, a, δ) side by side, (…, F); what is hidden has width 0."""
     return jnp.concatenate([inputs.obs, inputs.action, inputs.proxy], axis=-1)
-
-
-def flat(inputs: Inputs) -> Inputs:
-    """Inputs with all leading axes joined into rows."""
-    return jax.tree.map(lambda x: x.reshape(math.prod(x.shape[:-1]), x.shape[-1]), inputs)
-
-
-def rows(key: jax.Array, inputs: Inputs, size: int) -> Inputs:
-    """``size`` rows drawn evenly with replacement from inputs whose leading axes are flattened first."""
-    one = flat(inputs)
-    index = jax.random.randint(key, (size,), 0, one.obs.shape[0])
-    return jax.tree.map(lambda x: jnp.take(x, index, axis=0), one)
-
-
-def in_minibatches(
-    step: Callable[[jax.Array, Any, Inputs, Inputs], tuple[Any, dict[str, jax.Array]]], steps: int, size: int
-) -> Callable[..., tuple[Any, dict[str, jax.Array]]]:
-    """An ``update`` of ``steps`` calls of ``step(key, state, expert, policy)``, each on ``size`` rows of both."""
-
-    def update(key: jax.Array, state: Any, expert: Inputs, policy: Inputs) -> tuple[Any, dict[str, jax.Array]]:
-        def one(state: Any, key: jax.Array):
-            expert_key, policy_key, step_key = jax.random.split(key, 3)
-            return step(step_key, state, rows(expert_key, expert, size), rows(policy_key, policy, size))
-
-        state, info = jax.lax.scan(one, state, jax.random.split(key, steps))
-        return state, jax.tree.map(lambda x: x[-1], info)
-
-    return update

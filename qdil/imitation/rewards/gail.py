@@ -8,24 +8,17 @@ drawn at random (there: always the first batch of expert rows); the gradient pen
 mixes per sample (``penalty_mixing``; there: per element).
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from qdil.config import Config
+from qdil.imitation.learning import Fitted, by_adam
 from qdil.imitation.registry import register
-from qdil.imitation.reward_model import InputModel, Inputs, features, in_minibatches
+from qdil.imitation.reward_model import InputModel, Inputs, features
 from qdil.search.networks import init_mlp, mlp
 from qdil.types import Params
-
-
-class GailState(NamedTuple):
-    """The discriminator and its optimiser."""
-
-    params: Params
-    opt: optax.OptState
 
 
 def logits(params: Params, x: jax.Array) -> jax.Array:
@@ -67,22 +60,17 @@ def discriminator_loss(
 @register("gail", "−log(1−D) of GAIL's discriminator")
 def gail(config: Config, widths: Inputs) -> InputModel:
     """Rewards −log(1−D(s, a, δ)) ≥ 0."""
-    opt = optax.adam(config.reward_learning_rate)
-    size = widths.obs + widths.action + widths.proxy
 
-    def init(key: jax.Array, expert: Inputs) -> GailState:
-        params = init_mlp(key, (size, *config.reward_hidden, 1))
-        return GailState(params, opt.init(params))
+    def loss(params: Params, key: jax.Array, expert: Inputs, policy: Inputs) -> tuple[jax.Array, dict[str, jax.Array]]:
+        x, y = features(expert), features(policy)
+        return discriminator_loss(params, x, y, mixing_weights(key, x, config.penalty_mixing), config.gradient_penalty)
 
-    def reward(state: GailState, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
+    begin, update = by_adam(config, loss)
+
+    def init(key: jax.Array, expert: Inputs) -> Fitted:
+        return begin(init_mlp(key, (widths.obs + widths.action + widths.proxy, *config.reward_hidden, 1)))
+
+    def reward(state: Fitted, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
         return carry, jax.nn.softplus(logits(state.params, features(inputs)))
 
-    def step(key: jax.Array, state: GailState, expert: Inputs, policy: Inputs):
-        x, y = features(expert), features(policy)
-        mix = mixing_weights(key, x, config.penalty_mixing)
-        grads, info = jax.grad(discriminator_loss, has_aux=True)(state.params, x, y, mix, config.gradient_penalty)
-        change, opt_state = opt.update(grads, state.opt)
-        return GailState(optax.apply_updates(state.params, change), opt_state), info
-
-    update = in_minibatches(step, config.reward_steps, config.reward_batch)
     return InputModel(init, lambda state, num_envs: (), reward, update)

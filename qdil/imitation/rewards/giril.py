@@ -11,15 +11,16 @@ as the paper has it. Without actions (``giril-obs``) â is the recognition netwo
 out.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 
 from qdil.config import Config
+from qdil.imitation.learning import Fitted, rows
 from qdil.imitation.registry import register
-from qdil.imitation.reward_model import InputModel, Inputs, rows
+from qdil.imitation.reward_model import InputModel, Inputs
 from qdil.search.networks import init_mlp, mlp
 from qdil.types import Params
 
@@ -83,20 +84,14 @@ def giril(config: Config, widths: Inputs) -> InputModel:
             "decoder": init_mlp(keys[2], (latent + state_size, *hidden, widths.next_obs)),
         }
 
-        class Learning(NamedTuple):
-            params: Params
-            opt: optax.OptState
-
-        def step(now: Learning, key: jax.Array) -> tuple[Learning, None]:
+        def step(now: Fitted, key: jax.Array) -> tuple[Fitted, None]:
             row_key, noise_key = jax.random.split(key)
             batch = rows(row_key, expert, config.reward_batch)
             grads = jax.grad(loss)(now.params, noise_key, batch, config.giril_action_weight)
             change, opt_state = opt.update(grads, now.opt)
-            return Learning(optax.apply_updates(now.params, change), opt_state), None
+            return Fitted(optax.apply_updates(now.params, change), opt_state), None
 
-        learned, _ = jax.lax.scan(
-            step, Learning(params, opt.init(params)), jax.random.split(keys[3], config.giril_steps)
-        )
+        learned, _ = jax.lax.scan(step, Fitted(params, opt.init(params)), jax.random.split(keys[3], config.giril_steps))
         return learned.params
 
     def reward(state: Params, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:

@@ -7,24 +7,17 @@ A reward that only ever rises on one set and falls on another has no bound, so t
 r ∈ (−1, 1).
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from qdil.config import Config
+from qdil.imitation.learning import Fitted, by_adam
 from qdil.imitation.registry import register
-from qdil.imitation.reward_model import InputModel, Inputs, features, in_minibatches
+from qdil.imitation.reward_model import InputModel, Inputs, features
 from qdil.search.networks import init_mlp, mlp
 from qdil.types import Params
-
-
-class MaxEntState(NamedTuple):
-    """The reward network and its optimiser."""
-
-    params: Params
-    opt: optax.OptState
 
 
 def rewards_of(params: Params, x: jax.Array) -> jax.Array:
@@ -40,20 +33,17 @@ def negative_log_likelihood_gap(params: Params, expert: jax.Array, policy: jax.A
 @register("maxent", "a reward network raised on demonstrations and lowered on the policy", signed=True)
 def maxent(config: Config, widths: Inputs) -> InputModel:
     """Rewards r_ψ(s, a, δ)."""
-    opt = optax.adam(config.reward_learning_rate)
-    size = widths.obs + widths.action + widths.proxy
 
-    def init(key: jax.Array, expert: Inputs) -> MaxEntState:
-        params = init_mlp(key, (size, *config.reward_hidden, 1))
-        return MaxEntState(params, opt.init(params))
+    def loss(params: Params, key: jax.Array, expert: Inputs, policy: Inputs) -> tuple[jax.Array, dict[str, jax.Array]]:
+        gap = negative_log_likelihood_gap(params, features(expert), features(policy))
+        return gap, {"reward_gap": -gap}
 
-    def reward(state: MaxEntState, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
+    begin, update = by_adam(config, loss)
+
+    def init(key: jax.Array, expert: Inputs) -> Fitted:
+        return begin(init_mlp(key, (widths.obs + widths.action + widths.proxy, *config.reward_hidden, 1)))
+
+    def reward(state: Fitted, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
         return carry, rewards_of(state.params, features(inputs))
 
-    def step(key: jax.Array, state: MaxEntState, expert: Inputs, policy: Inputs):
-        gap, grads = jax.value_and_grad(negative_log_likelihood_gap)(state.params, features(expert), features(policy))
-        change, opt_state = opt.update(grads, state.opt)
-        return MaxEntState(optax.apply_updates(state.params, change), opt_state), {"reward_gap": -gap}
-
-    update = in_minibatches(step, config.reward_steps, config.reward_batch)
     return InputModel(init, lambda state, num_envs: (), reward, update)
