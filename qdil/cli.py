@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from qdil.config import BUDGETS, ROBOTS, ConfigError, make_config, parse_settings, settings_help
-from qdil.imitation.registry import describe, method_names
+from qdil.registry import describe, method_names
 
 
 def _parser() -> argparse.ArgumentParser:

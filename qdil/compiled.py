@@ -15,9 +15,9 @@ from jax.sharding import PartitionSpec as P
 from qdil import phases
 from qdil.config import Config
 from qdil.imitation.methods import reward_model
-from qdil.imitation.registry import name_of, parse_method
 from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.phases import Search, State, Trained
+from qdil.registry import name_of, parse_method
 from qdil.robots import brax_robots
 from qdil.search import evaluate, vppo
 from qdil.search.evaluate import Episodes, Policies, Scores

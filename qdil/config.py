@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, get_args
 
 from qdil.errors import ConfigError
-from qdil.imitation.registry import bases, parse_method
+from qdil.registry import bases, parse_method
 
 BUDGETS = ("smoke", "laptop", "full")
 ROBOTS = ("halfcheetah", "walker2d", "humanoid")

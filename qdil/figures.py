@@ -7,7 +7,7 @@ import pandas as pd
 from qdil import plotting, run
 from qdil.config import ConfigError, make_config
 from qdil.files import replace_file
-from qdil.imitation.registry import method_names
+from qdil.registry import method_names
 
 
 def finished_runs(env: str, budget: str, seed: int, root: Path) -> dict[str, Path]:

@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 
 from qdil.config import Config
+from qdil.finite import all_finite
 from qdil.imitation.bonus import measure_bonus
 from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.robots import brax_robots
 from qdil.robots.environment import Environment
 from qdil.search import networks, vppo
 from qdil.search.evaluate import Episodes, Policies, episodes, paid_in
-from qdil.search.finite import all_finite
 from qdil.search.normalise import init_obs_stats
 from qdil.search.rollout import Actors, split_each, start
 from qdil.types import ObsStats, Params, RewardContext, Transitions

@@ -10,9 +10,9 @@ from qdil.compiled import Compiled, compile_run
 from qdil.config import Config
 from qdil.imitation.bonus import is_empty
 from qdil.imitation.demos import check_fits
-from qdil.imitation.registry import parse_method
 from qdil.imitation.reward_model import Demonstrations
 from qdil.phases import State
+from qdil.registry import parse_method
 from qdil.search import archive, networks
 from qdil.search.archive import Archives, Candidates
 from qdil.search.evaluate import Policies

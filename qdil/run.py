@@ -14,7 +14,7 @@ from qdil.checkpoint import Progress
 from qdil.config import Config, ConfigError, from_json, make_config, to_json
 from qdil.files import sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
-from qdil.imitation.registry import bases, parse_method
+from qdil.registry import bases, parse_method
 from qdil.search import archive
 
 RESULTS = Path("results")

@@ -17,7 +17,7 @@ from qdil.config import (
     settings_help,
     to_json,
 )
-from qdil.imitation.registry import Method, method_names, parse_method
+from qdil.registry import Method, method_names, parse_method
 
 PAPER = {
     "actor_hidden": (128, 128),

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from qdil import ppga
 from qdil.config import make_config
+from qdil.finite import all_finite, is_smaller
 from qdil.search import networks
-from qdil.search.finite import all_finite, is_smaller
 
 FLOATS = st.floats(width=32)
 
@@ -34,7 +34,7 @@ def test_one_bad_number_anywhere_is_seen(bad):
 def test_fast_math_hides_nothing():
     code = """
 import qdil, jax, jax.numpy as jnp, numpy as np
-from qdil.search.finite import all_finite, is_smaller
+from qdil.finite import all_finite, is_smaller
 from qdil.robots import brax_robots
 x = jnp.asarray([0.0, 1e30, np.nan, np.inf, -np.inf])
 made = jax.jit(lambda x: jnp.stack([x[0] / x[0], x[1] * x[1], x[0], x[2] + 1, x[3] - x[3]]))

@@ -7,8 +7,8 @@ import pytest
 
 from qdil import ppga
 from qdil.config import make_config
-from qdil.imitation.registry import bases, method_names, name_of, parse_method
 from qdil.imitation.reward_model import Demonstrations
+from qdil.registry import bases, method_names, name_of, parse_method
 from qdil.robots import brax_robots
 from qdil.search import archive
 from qdil.search.rollout import start, window

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from probes import ACTIONS, CONTEXT, OBS, PROXIES, built, demos_of, steps_of
 
+from qdil import registry
 from qdil.config import make_config
 from qdil.errors import ConfigError
-from qdil.imitation import registry
-from qdil.imitation.registry import Method, describe, method_names, parse_method, register
 from qdil.imitation.reward_model import InputModel, Inputs
+from qdil.registry import Method, describe, method_names, parse_method, register
 
 IMITATORS = ["gail", "vail", "airl", "giril", "pwil", "maxent"]
 OTHERS = ["true", "zero"]
@@ -204,7 +204,7 @@ def test_names_that_are_taken_stay_so(fresh):
 
 def test_installed_packages_are_found_by_their_entry_points(fresh, tmp_path, monkeypatch):
     (tmp_path / "qdil_elsewhere.py").write_text(
-        "from qdil.imitation.registry import register\n\n\n"
+        "from qdil.registry import register\n\n\n"
         "@register('elsewhere', 'from another package')\n"
         "def elsewhere(config, widths):\n    return None\n"
     )
@@ -242,7 +242,7 @@ def test_names_that_cannot_name_a_folder_are_refused(fresh, name):
 
 def test_the_papers_come_first_and_keep_their_names_whoever_is_read_first():
     program = """
-        from qdil.imitation.registry import method_names, register
+        from qdil.registry import method_names, register
         try:
             register("gail", "a model")(lambda config, widths: None)
         except ValueError as error:

@@ -21,7 +21,7 @@ from probes import (
     steps_of,
 )
 
-from qdil.imitation import registry
+from qdil import registry
 from qdil.imitation.reward_model import InputModel, Inputs, hide, over_inputs
 
 IMITATORS = [base.name for base in registry.bases().values() if base.imitates]

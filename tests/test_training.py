@@ -141,6 +141,14 @@ def test_before_anything_is_accepted_the_walk_follows_fitness_alone():
     assert info["restarts"] == 1 and archive.random_elite(after.archives, after.rng) is None
 
 
+def test_the_released_walk_follows_fitness_alone(imitator):
+    released = imitator._replace(config=replace(imitator.config, walk_weights="fitness"))
+    watched, calls = spied(released)
+    assert not released.archives.soft.empty
+    ppga.iteration(watched)
+    np.testing.assert_array_equal(calls[1][2], np.tile([1.0, 0, 0], (3, 1)))
+
+
 def test_ppo_on_the_true_reward_improves(search):
     """A few hundred tied updates on the fitness alone: the reward per step under π_θ clearly rises."""
     compiled = search.compiled

@@ -1,8 +1,8 @@
 """From a configuration to the reward model that its method names, variants included."""
 
 from qdil.config import Config
-from qdil.imitation.registry import bases, parse_method
 from qdil.imitation.reward_model import Inputs, RewardModel, hide, over_inputs
+from qdil.registry import bases, parse_method
 from qdil.robots.environment import Environment
 
 

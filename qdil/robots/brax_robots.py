@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from qdil.finite import is_smaller
 from qdil.robots.environment import Environment, Outcome, RobotState
-from qdil.search.finite import is_smaller
 
 DIVERGED = 1e6  # an observation or reward this large is no robot's: physics about to become infinite
 BACKENDS = ("spring", "positional", "generalized", "mjx")

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 
 from qdil.config import Config
 from qdil.imitation.learning import Fitted, by_adam
-from qdil.imitation.registry import register
 from qdil.imitation.reward_model import InputModel, Inputs, features
 from qdil.imitation.rewards.gail import cross_entropy, logits
+from qdil.registry import register
 from qdil.search.networks import init_mlp
 from qdil.types import Params
 

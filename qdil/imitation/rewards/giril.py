@@ -19,8 +19,8 @@ import optax
 
 from qdil.config import Config
 from qdil.imitation.learning import Fitted, rows
-from qdil.imitation.registry import register
 from qdil.imitation.reward_model import InputModel, Inputs
+from qdil.registry import register
 from qdil.search.networks import init_mlp, mlp
 from qdil.types import Params
 

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 
 from qdil.config import Config
 from qdil.imitation.learning import Fitted, by_adam
-from qdil.imitation.registry import register
 from qdil.imitation.reward_model import InputModel, Inputs, features
+from qdil.registry import register
 from qdil.search.networks import init_mlp, mlp
 from qdil.types import Params
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from qdil.config import Config
-from qdil.imitation.registry import register
 from qdil.imitation.reward_model import RewardModel
+from qdil.registry import register
 from qdil.types import RewardContext, Transitions
 
 

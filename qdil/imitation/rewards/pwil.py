@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 
 from qdil.config import Config
-from qdil.imitation.registry import register
 from qdil.imitation.reward_model import InputModel, Inputs, features
+from qdil.registry import register
 
 
 class PwilState(NamedTuple):

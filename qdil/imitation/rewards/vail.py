@@ -17,9 +17,9 @@ import optax
 
 from qdil.config import Config
 from qdil.imitation.learning import in_minibatches
-from qdil.imitation.registry import register
 from qdil.imitation.reward_model import InputModel, Inputs, features
 from qdil.imitation.rewards.gail import cross_entropy, gradient_penalty, logits, mixing_weights
+from qdil.registry import register
 from qdil.search.networks import init_mlp, mlp
 from qdil.types import Params
 
