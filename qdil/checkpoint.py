@@ -142,4 +142,5 @@ def _to_numpy(leaf: Any) -> np.ndarray:
 def _like(old: Any, new: np.ndarray) -> Any:
     """``new`` as an array of the kind and layout of ``old``, so that nothing has to compile again."""
     value = jax.random.wrap_key_data(jax.numpy.asarray(new)) if _is_key(old) else new.astype(old.dtype)
-    return jax.device_put(value, old.sharding)
+    # An array that was never put anywhere, such as a key just split, must stay free to go where it is needed.
+    return jax.device_put(value, old.sharding) if old.committed else jax.numpy.asarray(value)

@@ -161,7 +161,7 @@ def test_what_is_loaded_is_what_was_saved(tmp_path):
     loaded, progress = checkpoint.load(tmp_path, ppga.begin(config, None), None)
     assert progress == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},))
     for mine, theirs in zip(jax.tree.leaves(search.state), jax.tree.leaves(loaded.state), strict=True):
-        assert mine.dtype == theirs.dtype and mine.sharding == theirs.sharding
+        assert mine.dtype == theirs.dtype and mine.sharding == theirs.sharding and mine.committed == theirs.committed
         np.testing.assert_array_equal(checkpoint._to_numpy(mine), checkpoint._to_numpy(theirs))
     for mine, theirs in zip(search.archives, loaded.archives, strict=True):
         one, other = archive.content(mine), archive.content(theirs)
