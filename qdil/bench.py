@@ -230,7 +230,7 @@ def _reward_update(search: ppga.Search) -> tuple[float, float]:
     jax.block_until_ready(fresh.theta)
     began = time.monotonic()
     state, _ = search.compiled.update_reward(fresh.state, occupied, search.demos, fresh.transitions)
-    jax.block_until_ready(state.key)
+    jax.block_until_ready(state.reward)
     return 1.0, time.monotonic() - began
 
 
