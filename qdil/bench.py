@@ -192,7 +192,7 @@ def _bare_simulator(config: Config, num_devices: int) -> Turn:
 def _updates(search: ppga.Search) -> tuple[float, float]:
     """One walk: N2 VPPO updates."""
     config, occupied = search.config, jnp.asarray(archive.occupied(search.archives))
-    weights = jnp.tile(jnp.eye(search.compiled.search.streams)[0], (search.compiled.search.streams, 1))
+    weights = jnp.tile(jnp.eye(search.compiled.parts.streams)[0], (search.compiled.parts.streams, 1))
     began = time.monotonic()
     trained = search.compiled.train(search.state, occupied, weights, True, config.walk_updates, config.epochs)
     jax.block_until_ready(trained.theta)
@@ -201,8 +201,8 @@ def _updates(search: ppga.Search) -> tuple[float, float]:
 
 def _evaluation(search: ppga.Search) -> tuple[float, float]:
     """All candidates at θ_μ over whole episodes."""
-    coefficients = jnp.zeros((search.config.candidates, search.compiled.search.streams))
-    theta = jnp.zeros((search.compiled.search.streams, 1))
+    coefficients = jnp.zeros((search.config.candidates, search.compiled.parts.streams))
+    theta = jnp.zeros((search.compiled.parts.streams, 1))
     policies, _ = search.compiled.branch(search.state, theta, coefficients)
     began = time.monotonic()
     candidates = ppga.evaluate(search, policies, search.state.key)
@@ -236,7 +236,7 @@ def _reward_update(search: ppga.Search) -> tuple[float, float]:
 
 def _update_flop(search: ppga.Search) -> float:
     """Floating-point operations of one VPPO update: forward and backward passes of all epochs, and the acting."""
-    config, env = search.config, search.compiled.search.env
+    config, env = search.config, search.compiled.parts.env
     sizes = [(env.obs_size, *config.actor_hidden, env.action_size), (env.obs_size, *config.critic_hidden, 3)]
     weights = [sum(a * b for a, b in zip(layers, layers[1:], strict=False)) for layers in sizes]
     steps = config.window * config.num_envs

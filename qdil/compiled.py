@@ -16,7 +16,7 @@ from qdil import phases
 from qdil.config import Config
 from qdil.imitation.methods import reward_model
 from qdil.imitation.reward_model import Demonstrations, RewardModel
-from qdil.phases import Search, State, Trained
+from qdil.phases import Parts, State, Trained
 from qdil.registry import name_of, parse_method
 from qdil.robots import brax_robots
 from qdil.search import evaluate, vppo
@@ -41,7 +41,7 @@ REWARD_SETTINGS = (
 class SearchPrograms(NamedTuple):
     """Compiled functions of ``qdil.phases`` and ``qdil.search`` that know nothing of rewards."""
 
-    search: Search
+    parts: Parts
     init: Any
     fork: Any  # (learner) -> learner with K copies
     collect: Any
@@ -68,7 +68,7 @@ class RewardPrograms(NamedTuple):
 class Compiled(NamedTuple):
     """A run's compiled functions, in the form that Algorithm 1 asks for."""
 
-    search: Search
+    parts: Parts
     model: RewardModel
     num_devices: int
     init: Any  # (key, demos) -> State
@@ -90,7 +90,7 @@ def compile_run(config: Config) -> Compiled:
     without_bonus = method._replace(bonus=False)
     rewards = reward_programs(_only(REWARD_SETTINGS, config, method=name_of(without_bonus)), num_devices)
     return Compiled(
-        programs.search,
+        programs.parts,
         rewards.model,
         num_devices,
         init=partial(_init, programs, rewards),
@@ -112,32 +112,32 @@ def _only(names: tuple[str, ...], config: Config, **changes: Any) -> Config:
 @lru_cache(maxsize=8)
 def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     """The search's programs for the ``SEARCH_SETTINGS`` of ``config``."""
-    search = phases.assemble(config)
+    parts = phases.assemble(config)
     mesh = make_mesh(num_devices)
     whole, split = replicated(mesh), by_environment(mesh)
     shard = partial(_sharded, mesh)
     window = P(None, AXIS)  # (T, E)
     all_, each = P(), P(AXIS)
-    pieces = search.episodes
+    pieces = parts.episodes
     return SearchPrograms(
-        search,
-        init=jax.jit(partial(phases.init, search), out_shardings=(whole, whole, split)),
-        fork=jax.jit(partial(vppo.fork, copies=search.streams), out_shardings=whole),
-        collect=shard(partial(vppo.collect, search.env, search.settings), (all_, all_, each), (each, window, window)),
+        parts,
+        init=jax.jit(partial(phases.init, parts), out_shardings=(whole, whole, split)),
+        fork=jax.jit(partial(vppo.fork, copies=parts.streams), out_shardings=whole),
+        collect=shard(partial(vppo.collect, parts.env, parts.settings), (all_, all_, each), (each, window, window)),
         learn=shard(
-            lambda key, update, *args: vppo.learn(search.settings, jax.random.fold_in(key, update), *args),
+            lambda key, update, *args: vppo.learn(parts.settings, jax.random.fold_in(key, update), *args),
             (all_, all_, all_, all_, window, window, window, all_, all_, all_),
             all_,
         ),
         unfork=jax.jit(phases.unfork, out_shardings=whole),
-        give_up=jax.jit(partial(phases.give_up, copies=search.streams), out_shardings=(split, whole)),
+        give_up=jax.jit(partial(phases.give_up, copies=parts.streams), out_shardings=(split, whole)),
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         episodes=Episodes(
             shard(pieces.begin, (each,), each),
             shard(pieces.advance, (each, each, each), (each, each, window, window)),
             shard(pieces.finish, (each, each), each),
         ),
-        jump=jax.jit(partial(phases.jump, search), out_shardings=whole),
+        jump=jax.jit(partial(phases.jump, parts), out_shardings=whole),
         place=lambda tree: jax.device_put(tree, split),
     )
 

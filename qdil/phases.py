@@ -1,7 +1,7 @@
 """The phases of a run as pure functions: begin, collect, pay, learn, branch, score, learn the reward, jump.
 
 ``qdil.ppga`` puts them in the order of Algorithm 1; ``qdil.compiled`` compiles them for a mesh of devices. Those that
-take ``Search`` know nothing of rewards, so that all methods share their compiled programs.
+take ``Parts`` know nothing of rewards, so that all methods share their compiled programs.
 """
 
 from typing import Any, NamedTuple
@@ -42,7 +42,7 @@ class Trained(NamedTuple):
     info: dict[str, jax.Array]
 
 
-class Search(NamedTuple):
+class Parts(NamedTuple):
     """What searches for policies, whatever rewards them."""
 
     config: Config
@@ -57,13 +57,13 @@ class Search(NamedTuple):
         return 1 + len(self.env.measure_names)
 
 
-def assemble(config: Config) -> Search:
+def assemble(config: Config) -> Parts:
     """The parts that ``config`` names. Raises ValueError for what does not exist."""
     env = brax_robots.make(config.env, config.backend)
     like = policy_like(config, env)
     c = config
     scored = episodes(env, like, c.episodes, c.episode_length, c.eval_chunk, c.sample_actions)
-    return Search(config, env, vppo_settings(config), scored, like)
+    return Parts(config, env, vppo_settings(config), scored, like)
 
 
 def vppo_settings(config: Config) -> vppo.Settings:
@@ -85,12 +85,12 @@ def policy_like(config: Config, env: Environment) -> Params:
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
 
-def init(search: Search, key: jax.Array) -> tuple[vppo.Learner, ObsStats, Actors]:
+def init(parts: Parts, key: jax.Array) -> tuple[vppo.Learner, ObsStats, Actors]:
     """θ_0, a fresh critic, an empty normaliser, and robots at the beginning of episodes."""
-    config, env = search.config, search.env
+    config, env = parts.config, parts.env
     policy_key, critic_key, actor_key = jax.random.split(key, 3)
-    critic = networks.init_mlp(critic_key, (env.obs_size, *config.critic_hidden, search.streams))
-    learner = vppo.init_learner(search.settings, _policy(policy_key, config, env), critic, search.streams)
+    critic = networks.init_mlp(critic_key, (env.obs_size, *config.critic_hidden, parts.streams))
+    learner = vppo.init_learner(parts.settings, _policy(policy_key, config, env), critic, parts.streams)
     actors = start(env, jax.random.split(actor_key, config.num_envs), config.episode_length, in_step=False)
     return learner, init_obs_stats(env.obs_size), actors
 
@@ -176,7 +176,7 @@ def update_reward(
 
 
 def jump(
-    search: Search,
+    parts: Parts,
     learner: vppo.Learner,
     stats: ObsStats,
     theta: jax.Array,
@@ -187,6 +187,6 @@ def jump(
 
     The statistics keep their weight of past data, so that the elite's normaliser moves no faster than before.
     """
-    opt, policy = vppo.optimiser(search.settings), networks.unflatten(theta, search.like)
+    opt, policy = vppo.optimiser(parts.settings), networks.unflatten(theta, parts.like)
     learner = learner._replace(policy=policy, policy_opt=opt.init(policy), critic_opt=opt.init(learner.critic))
     return learner, ObsStats(obs_mean, obs_std, jnp.square(obs_std) * stats.seen, stats.seen)

@@ -58,9 +58,9 @@ def plan(config: Config) -> Plan:
 def _train(config: Config, compiled: Compiled, updates: int) -> float:
     """Seconds of so many VPPO updates, whole epochs included."""
     state = compiled.init(jax.random.key(0), None)
-    occupied = jnp.zeros((config.cells,) * (compiled.search.streams - 1), bool)
+    occupied = jnp.zeros((config.cells,) * (compiled.parts.streams - 1), bool)
     began = time.monotonic()
-    weights = jnp.eye(compiled.search.streams)
+    weights = jnp.eye(compiled.parts.streams)
     jax.block_until_ready(compiled.train(state, occupied, weights, False, updates, config.epochs).theta)
     return time.monotonic() - began
 
@@ -68,8 +68,8 @@ def _train(config: Config, compiled: Compiled, updates: int) -> float:
 def _evaluate(config: Config, compiled: Compiled) -> float:
     """Seconds of one chunk of candidates' steps."""
     state = compiled.init(jax.random.key(0), None)
-    coefficients = jnp.zeros((config.candidates, compiled.search.streams))
-    policies, _ = compiled.branch(state, jnp.zeros((compiled.search.streams, 1)), coefficients)
+    coefficients = jnp.zeros((config.candidates, compiled.parts.streams))
+    policies, _ = compiled.branch(state, jnp.zeros((compiled.parts.streams, 1)), coefficients)
     keys = compiled.place(jax.random.split(jax.random.key(0), (config.candidates, config.episodes)))
     actors, tally = compiled.episodes.begin(keys)
     began = time.monotonic()

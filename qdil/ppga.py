@@ -35,9 +35,9 @@ def begin(config: Config, demos: Demonstrations | None) -> Search:
     """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives."""
     compiled = compile_run(config)
     if demos is not None:
-        check_fits(demos, compiled.search.env)
-    k, obs_size = len(compiled.search.env.measure_names), compiled.search.env.obs_size
-    theta_size = networks.flat_size(compiled.search.like)
+        check_fits(demos, compiled.parts.env)
+    k, obs_size = len(compiled.parts.env.measure_names), compiled.parts.env.obs_size
+    theta_size = networks.flat_size(compiled.parts.like)
     archives = archive.make(config.cells, k, theta_size, obs_size, config.archive_learning_rate, config.threshold_min)
     xnes_seed, elite_seed = np.random.SeedSequence(config.seed).spawn(2)
     xnes = XNES(config.sigma0, 1 + k, config.candidates, seed=xnes_seed)
@@ -50,7 +50,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     """One QD iteration, Algorithm 1, lines 4-22. Archives, xNES and the generator change in place."""
     config, compiled, archives, xnes, rng, demos, state = search
     occupied = jnp.asarray(archive.occupied(archives))
-    streams = compiled.search.streams
+    streams = compiled.parts.streams
 
     # Gradients (lines 4-5): copy i of θ_μ is trained on reward stream i alone.
     forked = compiled.train(state, occupied, jnp.eye(streams), False, config.gradient_updates, config.epochs)
@@ -114,7 +114,7 @@ def warm_up(search: Search, updates: int) -> tuple[Search, int, float]:
     """
     config, compiled, demos, state = search.config, search.compiled, search.demos, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
-    weights = _tied(jnp.eye(compiled.search.streams)[0])
+    weights = _tied(jnp.eye(compiled.parts.streams)[0])
     now = min(config.walk_updates, updates)
     trained = compiled.train(state, occupied, weights, True, now, config.epochs)
     state = trained.state
@@ -164,7 +164,7 @@ def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
     count, size = len(search.archives.result), search.config.candidates
     firsts = range(0, count, size)
     scores = [evaluate(search, batch_of_elites(search, first), jax.random.fold_in(key, first)) for first in firsts]
-    k = len(search.compiled.search.env.measure_names)
+    k = len(search.compiled.parts.env.measure_names)
     fields = {"fitness": (0,), "true_return": (0,), "measures": (0, k)}
     joined = {n: np.concatenate([np.zeros(e), *(getattr(s, n) for s in scores)])[:count] for n, e in fields.items()}
     names = {"fitness": "rescored_fitness", "true_return": "rescored_return", "measures": "rescored_measures"}
