@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from qdil.config import BUDGETS, ROBOTS, ConfigError, make_config, parse_settings, settings_help
+from qdil.evidence.studies import STUDIES, experiments_of
 from qdil.registry import describe, method_names
 
 
@@ -78,6 +79,18 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--rounds", type=int, default=5, help="turns that each speed is taken in (default: 5)")
     bench.add_argument("--json", action="store_true", help="print an object per robot instead of a table")
 
+    study = commands.add_parser(
+        "study",
+        help="train the runs that a figure or table needs",
+        description="Train, one after the other in this process, the runs of some studies that are not finished yet.",
+        epilog=f"studies: {', '.join(STUDIES)}",
+    )
+    study.add_argument("names", nargs="*", metavar="STUDY", help="studies (default: all)")
+    study.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    study.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
+    study.add_argument("--seed", type=int, action="append", help="repeatable (default: smoke 1, laptop and full 1 2 3)")
+    study.add_argument("--dry-run", action="store_true", help="list the runs and whether they are there; train nothing")
+
     commands.add_parser("methods", help="list all methods", description="List every method with a line each.")
 
     notebooks = commands.add_parser(
@@ -97,7 +110,7 @@ def _train(args: argparse.Namespace) -> int:
     changes = parse_settings(args.settings) | ({} if args.devices is None else {"devices": args.devices})
     config = make_config(args.env, args.method, args.budget, args.seed, **changes)
     if args.dry_run:
-        from qdil import plan
+        from qdil.tools import plan
 
         print(plan.report(config, plan.plan(config)))
         return 0
@@ -129,7 +142,7 @@ def _demos(args: argparse.Namespace) -> int:
 
 
 def _figures(args: argparse.Namespace) -> int:
-    from qdil.figures import write_figures
+    from qdil.evidence.figures import write_figures
 
     for path in write_figures(args.env, args.budget, args.seed):
         print(f"Wrote {path}.")
@@ -137,7 +150,7 @@ def _figures(args: argparse.Namespace) -> int:
 
 
 def _verify(args: argparse.Namespace) -> int:
-    from qdil import verify
+    from qdil.tools import verify
 
     found = verify.verify(args.folder)
     print(verify.report(found))
@@ -150,12 +163,29 @@ def _bench(args: argparse.Namespace) -> int:
     robots = args.env or list(ROBOTS)
     for env in robots:
         make_config(env, "true", args.budget)
-    from qdil import bench
+    from qdil.tools import bench
 
     rows = {env: bench.start_seconds(env) | bench.bench(env, args.budget, args.rounds) for env in robots}
     for env in robots:
         rows[env] |= bench.full_networks(env, args.rounds)
     print(bench.as_json(rows) if args.json else bench.table(rows))
+    return 0
+
+
+def _study(args: argparse.Namespace) -> int:
+    from qdil.evidence import experiments
+    from qdil.progress import Progress
+    from qdil.run import is_finished
+
+    make_config(args.env, "true", args.budget)
+    names, seeds = experiments_of(args.names or STUDIES, args.budget), args.seed
+    if args.dry_run:
+        for name in names:
+            for seed in seeds or experiments.SEEDS[args.budget]:
+                folder = experiments.folder_of(name, args.env, args.budget, seed)
+                print(f"{'finished' if is_finished(folder) else 'missing':8}  {folder}")
+        return 0
+    experiments.train_missing(names, args.env, args.budget, seeds, report=Progress)
     return 0
 
 
@@ -167,11 +197,11 @@ def _methods(args: argparse.Namespace) -> int:
 
 
 def _notebooks(args: argparse.Namespace) -> int:
-    from qdil import notebooks
+    from qdil.series import execute
 
     if args.budget not in BUDGETS:
         raise ConfigError(f"unknown budget '{args.budget}'; choose one of {', '.join(BUDGETS)}.")
-    failures = notebooks.execute_all(args.names, args.budget)
+    failures = execute.execute_all(args.names, args.budget)
     for failure in failures:
         print(failure, file=sys.stderr)
     return 1 if failures else 0
@@ -183,6 +213,7 @@ COMMANDS = {
     "figures": _figures,
     "verify": _verify,
     "bench": _bench,
+    "study": _study,
     "methods": _methods,
     "notebooks": _notebooks,
 }

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from qdil import bench
 from qdil.cli import main
+from qdil.tools import bench
 
 
 def test_ratios_are_taken_within_a_round():

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdil import figures, run
+from qdil import run
 from qdil.config import ConfigError
+from qdil.evidence import figures
 from qdil.files import write_npz
 
 ROOT = Path(run.__file__).parent.parent

@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from qdil import plan, run, verify
+from qdil import run
 from qdil.cli import main
 from qdil.config import make_config
 from qdil.files import sha256
 from qdil.imitation import demos as demonstrations
+from qdil.tools import plan, verify
 
 FILES = {"config.json", "metrics.csv", "archive.npz", "policies.npz", "manifest.json"}
 

@@ -11,7 +11,7 @@ from papermill.exceptions import PapermillExecutionError
 from qdil.config import ConfigError
 from qdil.files import replace_file
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent.parent
 NOTEBOOKS = ROOT / "notebooks"
 EXECUTED = ROOT / "results" / "notebooks"
 KERNEL = "python3"  # ipykernel's own, which Jupyter starts with the interpreter that runs this

@@ -1,0 +1,75 @@
+"""One visual language: a colour per method used everywhere, labels with units, and how figures are written."""
+
+import io
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from qdil.files import replace_file
+from qdil.robots.brax_robots import ROBOTS
+
+# Okabe and Ito's colours, told apart with any kind of colour vision.
+METHOD_COLOURS = {
+    "true": "#000000",
+    "mbo-true": "#009e73",
+    "gail": "#0072b2",
+    "mcond-gail": "#56b4e9",
+    "mbo-gail": "#e69f00",
+    "mconbo-gail": "#d55e00",
+}
+OTHER_COLOURS = ("#cc79a7", "#882255", "#999999")  # for methods without a colour of their own
+GREEN, BLUE, RED = "#009e73", "#0072b2", "#d55e00"
+EMPTY = "0.87"  # grey of an empty cell
+
+METRICS = {
+    "qd_score": "QD-score (sum of returns)",
+    "coverage": "coverage (% of cells)",
+    "best": "best return (reward units)",
+    "average": "average return (reward units)",
+}
+X_LABELS = {"iteration": "QD iteration", "env_steps": "environment steps", "wall_seconds": "wall-clock time (s)"}
+FIELD_LABELS = {
+    "true_return": "true return per episode (reward units)",
+    "fitness": "learned fitness per episode (reward units)",
+    "length": "episode length (steps)",
+    "rescored_return": "true return, scored again (reward units)",
+    "rescored_fitness": "learned fitness, scored again (reward units)",
+}
+
+
+def method_colour(method: str, others: int = 0) -> str:
+    """A method's colour; one without its own takes number ``others`` of the spare ones."""
+    return METHOD_COLOURS.get(method, OTHER_COLOURS[others % len(OTHER_COLOURS)])
+
+
+def measure_labels(robot: str | None = None) -> tuple[str, str]:
+    """Axis labels of the measure space, naming the feet of ``robot`` where one is given."""
+    names = [f" ({foot})" for foot in ROBOTS[robot].feet] if robot else ["", ""]
+    first, second = (f"share of time foot {i + 1}{name}\ntouches the ground" for i, name in enumerate(names))
+    return first, second
+
+
+def label_measures(ax: Axes, robot: str | None = None) -> None:
+    """Label the unit square of the two feet's ground contact and fix its limits."""
+    first, second = measure_labels(robot)
+    ax.set(xlabel=first, ylabel=second, xlim=(0, 1), ylim=(0, 1), aspect="equal")
+
+
+def to_png(figure: Figure) -> bytes:
+    """A figure as the bytes of a PNG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def save(figure: Figure, path: Path) -> list[Path]:
+    """Write ``figure`` as ``path`` with the suffixes ``.png`` and ``.pdf``, each whole or not at all."""
+    written = []
+    for kind, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=kind, metadata=metadata)  # no dates: equal runs give equal files
+        target = path.with_name(f"{path.name}.{kind}")
+        replace_file(target, lambda file, buffer=buffer: file.write(buffer.getvalue()))  # type: ignore[misc]
+        written.append(target)
+    return written

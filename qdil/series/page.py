@@ -1,0 +1,52 @@
+"""What every notebook opens with: where it runs, what its numbers are made of, and the runs that it shows."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+from IPython.display import Markdown, display
+
+from qdil import manifest
+from qdil.config import make_config
+from qdil.evidence import experiments, studies
+
+ROOT = Path(__file__).parent.parent.parent
+SAYS = {
+    "smoke": "a test that every line runs; nothing has been learned, so read no result out of these pictures",
+    "laptop": "a small version of the experiment; the curves are real, the scale is not the paper's",
+    "full": "the paper's own scale",
+}
+
+
+def begin(budget: str, env: str, seed: int) -> Markdown:
+    """Work in the repository's root, wherever the notebook was started; the banner with budget, device and commit.
+
+    Raises ConfigError for a budget, robot or seed that does not exist.
+    """
+    make_config(env, "true", budget, seed)
+    os.chdir(ROOT)
+    device = f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
+    facts = {"budget": budget, "robot": env, "seed": seed, "device": device, "commit": manifest.commit()}
+    banner = " · ".join(f"**{name}** {value}" for name, value in facts.items())
+    return Markdown(f"> {banner}\n>\n> The *{budget}* budget is {SAYS[budget]}.")
+
+
+def runs(
+    study: str | Sequence[str], env: str, budget: str, train: bool = False, seeds: Sequence[int] | None = None
+) -> dict[str, list[Path]]:
+    """Folders of the finished runs, by experiment, of a study (or of experiments); shows which are there.
+
+    At ``smoke``, or with ``train``, those that are missing are trained first. ``seeds`` None: the budget's.
+    """
+    wanted = studies.experiments_of([study], budget) if isinstance(study, str) else tuple(study)
+    if train or budget == "smoke":
+        experiments.train_missing(wanted, env, budget, seeds)
+    there = experiments.finished(wanted, env, budget, seeds)
+    listed = [f"`{name}` ({', '.join(path.name.replace('-', ' ') for path in paths)})" for name, paths in there.items()]
+    missing = [f"`{name}`" for name in wanted if name not in there]
+    lines = [f"Loaded from `results/{budget}/{env}`: {'; '.join(listed) or 'nothing'}."]
+    if missing:
+        lines.append(f"**Not trained yet**, so not shown: {', '.join(missing)}.")
+    display(Markdown("\n\n".join(lines)))
+    return there
