@@ -13,7 +13,9 @@ from ribs.archives import GridArchive
 from ribs.visualize import grid_archive_heatmap
 
 from qdil.imitation.demos import top_fifth
-from qdil.plotting.style import BLUE, EMPTY, FIELD_LABELS, GREEN, RED, label_measures
+from qdil.plotting.style import BLUE, EMPTY, FIELD_LABELS, GREEN, RED, label, label_measures
+
+MOST_IN_A_ROW = 4  # heatmaps beside each other
 
 
 def heatmap(
@@ -63,7 +65,7 @@ def _colour_bar(mesh: QuadMesh, axes: list[Axes], field: str) -> None:
 def archives_side_by_side(
     archives: Mapping[str, Mapping[str, Any]], field: str = "true_return", robot: str | None = None
 ) -> Figure:
-    """One heatmap per method, all on one colour scale; ``archives`` as in ``heatmap``, by method.
+    """One heatmap per experiment, all on one colour scale; ``archives`` as in ``heatmap``, by experiment.
 
     Each title gives the share of cells that are filled. Raises ValueError where there is nothing to draw.
     """
@@ -74,16 +76,28 @@ def archives_side_by_side(
     values = np.concatenate([np.asarray(archive[field], float) for archive in archives.values()])
     low, high = (values.min(), values.max()) if len(values) else (0.0, 1.0)
     high = high if high > low else low + 1.0
-    figure = Figure(figsize=(3.6 * len(archives) + 1.2, 3.9), layout="constrained")
-    axes = figure.subplots(1, len(archives), squeeze=False)[0]
-    for ax, (method, archive) in zip(axes, archives.items(), strict=True):
+    rows = -(-len(archives) // MOST_IN_A_ROW)
+    columns = -(-len(archives) // rows)
+    figure = Figure(figsize=(3.6 * columns + 1.2, 3.9 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax in axes.flat[len(archives) :]:
+        ax.remove()
+    drawn = list(axes.flat[: len(archives)])
+    for i, (ax, (experiment, archive)) in enumerate(zip(drawn, archives.items(), strict=True)):
         mesh = heatmap(archive, ax, low, high, field, robot, colour_bar=False)
         cells = int(np.prod(archive["cells"]))
-        ax.set_title(f"{method}: {len(archive['index'])} of {cells} cells")
-        if ax is not axes[0]:
+        ax.set_title(f"{label(experiment)}:{_break(experiment)}{len(archive['index'])} of {cells} cells")
+        if i % columns:
             ax.set_ylabel("")
-    _colour_bar(mesh, list(axes), field)
+        if i + columns < len(archives):
+            ax.set_xlabel("")
+    _colour_bar(mesh, drawn, field)
     return figure
+
+
+def _break(experiment: str) -> str:
+    """What parts a title's name from its numbers: a new line where the name is long."""
+    return "\n" if len(label(experiment)) > 16 else " "
 
 
 def behaviour_space(expert: Mapping[str, Any], demos: Mapping[str, Any], robot: str | None = None) -> Figure:
@@ -103,9 +117,9 @@ def behaviour_space(expert: Mapping[str, Any], demos: Mapping[str, Any], robot: 
     ]
     figure = Figure(figsize=(7.0, 3.9), layout="constrained")
     ax = figure.subplots()
-    for where, colour, marker, size, label in groups:
+    for where, colour, marker, size, text in groups:
         ax.scatter(
-            where[:, 0], where[:, 1], s=size, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=label
+            where[:, 0], where[:, 1], s=size, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=text
         )
     for collection in ax.collections:
         collection.set_clip_on(False)  # a robot that never lifts a foot stands on the border

@@ -1,37 +1,82 @@
-"""Learning curves: the paper's four metrics by iteration, environment steps or time."""
+"""Learning curves: the paper's four metrics by iteration, environment steps or time, over seeds."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
+import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qdil.plotting.style import METHOD_COLOURS, METRICS, X_LABELS, method_colour
+from qdil.plotting.colours import styles
+from qdil.plotting.style import METRICS, X_LABELS, label, percent
+
+Tables: TypeAlias = pd.DataFrame | Sequence[pd.DataFrame]
+POINTS = 200  # of a curve over seeds whose own points do not lie at the same x
+MARKS = 6  # markers along a curve, the curves' out of step with each other
+IN_A_ROW = 6  # entries of the legend
 
 
-def learning_curves(metrics: Mapping[str, pd.DataFrame], x: str = "iteration") -> Figure:
-    """The paper's four metrics against ``x``, one line per method; dashed where the reward is the true one.
+def learning_curves(metrics: Mapping[str, Tables], x: str = "iteration") -> Figure:
+    """The paper's four metrics against ``x``: a line per experiment, its mean over seeds, in a band of ± one standard
+    deviation; dashed where the reward is the true one.
 
-    ``metrics`` are tables of ``metrics.csv`` by method: columns ``qd_score``, ``best`` and ``average`` in reward units,
-    ``coverage`` as a share of the cells, and ``x``: ``iteration``, ``env_steps`` or ``wall_seconds``.
+    ``metrics`` are tables of ``metrics.csv`` by experiment, one or a list of them, a table per seed: columns
+    ``qd_score``, ``best`` and ``average`` in reward units, ``coverage`` as a share of the cells, and ``x``:
+    ``iteration``, ``env_steps`` or ``wall_seconds``.
     Raises ValueError for another ``x`` or where there is nothing to draw.
     """
     if x not in X_LABELS:
         raise ValueError(f"x='{x}' is not an axis of learning curves; choose one of {', '.join(X_LABELS)}.")
-    if not metrics:
+    seeds = {name: [tables] if isinstance(tables, pd.DataFrame) else list(tables) for name, tables in metrics.items()}
+    if not any(seeds.values()):
         raise ValueError("there are no metrics to draw.")
-    spare = [method for method in metrics if method not in METHOD_COLOURS]
-    figure = Figure(figsize=(13, 3.3), layout="constrained")
+    figure = Figure(figsize=(13, 3.3 + 0.25 * ((len(seeds) - 1) // IN_A_ROW)), layout="constrained")
     axes = figure.subplots(1, len(METRICS))
-    for ax, (name, label) in zip(axes, METRICS.items(), strict=True):
-        for method, table in metrics.items():
-            colour = method_colour(method, spare.index(method) if method in spare else 0)
-            style = {"ls": "--" if method.endswith("true") else "-", "marker": "o" if len(table) < 20 else None}
-            scale = 100.0 if name == "coverage" else 1.0
-            ax.plot(table[x], scale * table[name], color=colour, label=method, **style)
-        ax.set(xlabel=X_LABELS[x], title=label)
+    looks = styles(seeds)
+    for ax, (name, title) in zip(axes, METRICS.items(), strict=True):
+        for i, (experiment, tables) in enumerate(seeds.items()):
+            if tables:
+                _draw(ax, tables, x, name, looks[experiment] | {"label": _with_seeds(experiment, tables)}, i)
+        ax.set(xlabel=X_LABELS[x], title=title)
         ax.grid(color="0.92")
         ax.spines[["top", "right"]].set_visible(False)
         ax.xaxis.get_major_locator().set_params(integer=x != "wall_seconds", nbins=5)
     axes[1].set_ylim(0, 103)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(metrics), frameon=False)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(seeds), 6), frameon=False
+    )
     return figure
+
+
+def _with_seeds(experiment: str, tables: Sequence[pd.DataFrame]) -> str:
+    return label(experiment) + (f" ({len(tables)} seeds)" if len(tables) > 1 else "")
+
+
+def _draw(ax: Axes, tables: Sequence[pd.DataFrame], x: str, name: str, style: dict, number: int) -> None:
+    where, values = over_seeds(tables, x, name)
+    values = percent(name) * values
+    few = len(where) < 20
+    every = (
+        1 if few else (len(where) * (number % MARKS) // MARKS**2, max(1, len(where) // MARKS))
+    )  # markers out of step
+    ax.plot(where, values.mean(axis=0), markevery=every, ms=4, lw=1.4, **style)
+    if len(values) > 1:
+        spread = values.std(axis=0, ddof=1)
+        low, high = values.mean(axis=0) - spread, values.mean(axis=0) + spread
+        ax.fill_between(where, low, high, color=style["color"], alpha=0.18, lw=0)
+
+
+def over_seeds(tables: Sequence[pd.DataFrame], x: str, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """``x`` (n,) and the metric ``name`` of every seed there (seeds, n).
+
+    Where seeds were not measured at the same ``x``, as with environment steps, each is interpolated at points between
+    the latest start and the earliest end, so that nothing is extrapolated.
+    """
+    own = [np.asarray(table[x], float) for table in tables]
+    values = [np.asarray(table[name], float) for table in tables]
+    if all(len(xs) == len(own[0]) and np.array_equal(xs, own[0]) for xs in own):
+        return own[0], np.array(values)
+    start, end = max(xs[0] for xs in own), min(xs[-1] for xs in own)
+    where = np.linspace(start, max(start, end), min(POINTS, min(map(len, own))))
+    return where, np.array([np.interp(where, xs, ys) for xs, ys in zip(own, values, strict=True)])

@@ -1,4 +1,4 @@
-"""One visual language: a colour per method used everywhere, labels with units, and how figures are written."""
+"""One visual language: what experiments are called in pictures, axes with units, and how figures are written."""
 
 import io
 from pathlib import Path
@@ -7,18 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdil.files import replace_file
+from qdil.plotting.colours import method_colour as method_colour
 from qdil.robots.brax_robots import ROBOTS
 
-# Okabe and Ito's colours, told apart with any kind of colour vision.
-METHOD_COLOURS = {
-    "true": "#000000",
-    "mbo-true": "#009e73",
-    "gail": "#0072b2",
-    "mcond-gail": "#56b4e9",
-    "mbo-gail": "#e69f00",
-    "mconbo-gail": "#d55e00",
-}
-OTHER_COLOURS = ("#cc79a7", "#882255", "#999999")  # for methods without a colour of their own
 GREEN, BLUE, RED = "#009e73", "#0072b2", "#d55e00"
 EMPTY = "0.87"  # grey of an empty cell
 
@@ -28,6 +19,11 @@ METRICS = {
     "best": "best return (reward units)",
     "average": "average return (reward units)",
 }
+MORE_METRICS = {
+    "rescored_average": "average return, scored again (reward units)",
+    "million_steps": "environment steps (millions)",
+    "minutes": "training time (minutes)",
+}
 X_LABELS = {"iteration": "QD iteration", "env_steps": "environment steps", "wall_seconds": "wall-clock time (s)"}
 FIELD_LABELS = {
     "true_return": "true return per episode (reward units)",
@@ -36,11 +32,31 @@ FIELD_LABELS = {
     "rescored_return": "true return, scored again (reward units)",
     "rescored_fitness": "learned fitness, scored again (reward units)",
 }
+SETTING_LABELS = {"bonus_p": "p", "bonus_q": "q"}
 
 
-def method_colour(method: str, others: int = 0) -> str:
-    """A method's colour; one without its own takes number ``others`` of the spare ones."""
-    return METHOD_COLOURS.get(method, OTHER_COLOURS[others % len(OTHER_COLOURS)])
+def label(experiment: str) -> str:
+    """What an experiment is called in a legend: ``mconbo-gail+bonus_q=1.0`` is "mconbo-gail, q = 1"."""
+    method, *settings = experiment.split("+")
+    return ", ".join([method, *map(_setting, settings)])
+
+
+def _setting(text: str) -> str:
+    name, _, value = text.partition("=")
+    try:
+        value = f"{float(value):g}"
+    except ValueError:
+        pass  # not a number: shown as it is
+    if name == "demo_episodes":
+        return f"{value} demonstration{'' if value == '1' else 's'}"
+    if name == "protocol":
+        return f"all {value} choices"
+    return f"{SETTING_LABELS.get(name, name.replace('_', ' '))} = {value}"
+
+
+def percent(metric: str) -> float:
+    """What to multiply a metric by for its axis label: shares are drawn in percent."""
+    return 100.0 if metric == "coverage" else 1.0
 
 
 def measure_labels(robot: str | None = None) -> tuple[str, str]:

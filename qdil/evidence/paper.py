@@ -1,0 +1,81 @@
+"""The paper's numbers, as far as they could be recovered: its tables are lost, some figures and result files are not.
+
+They stand in ``paper_numbers.csv``, each with its source. Two sources are kept apart here: ``PAPER``, the paper's own
+figures and its authors' result files, and ``LATER``, the table of the paper's later version, whose methods differ
+(p = 0, q = 2, no measure conditioning in their names); a later number never stands in for the paper's.
+"""
+
+from functools import cache
+from importlib.resources import files
+
+import pandas as pd
+
+PAPER, LATER = "paper", "later version"
+METRICS = ("qd_score", "coverage", "best", "average")
+NOT_RECOVERABLE = "not recoverable"
+# What the later version calls the bonus added to a base.
+LATER_NAMES = {"mconbo-gail": "ebc-gail", "mconbo-vail": "ebc-vail"}
+
+
+@cache
+def _numbers() -> pd.DataFrame:
+    table = pd.read_csv(str(files("qdil.evidence") / "paper_numbers.csv"))
+    iteration = table["note"].str.extract(r"at iteration (\d+)", expand=False)
+    return table.assign(iteration=pd.to_numeric(iteration), origin=table["source"].map(_origin))
+
+
+def _origin(source: str) -> str:
+    return LATER if source.startswith("later version") else PAPER
+
+
+def numbers() -> pd.DataFrame:
+    """A row per number: source, environment, method, n_demos, n_seeds, metric, value, spread, spread_kind, note.
+
+    ``coverage_pct`` is in percent, all else in reward units. Two columns are ours: ``origin`` (``PAPER`` or ``LATER``)
+    and ``iteration`` (for numbers from the middle of a run; empty: its end).
+    """
+    return _numbers().copy()
+
+
+def value(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PAPER) -> float | None:
+    """The paper's number for the end of a method's runs, its mean over seeds; None where it is not recoverable.
+
+    ``metric`` is one of ``METRICS``; coverage is a share of the cells, as everywhere here. What was run without
+    demonstrations has the same number for any ``n_demos``. ``origin=LATER`` gives the later version's, for the method
+    that plays the same part there. Raises ValueError for an unknown metric or origin.
+    """
+    found = _found(env, method, metric, n_demos, origin)
+    scale = 100.0 if metric == "coverage" else 1.0
+    return None if found.empty else float(found["value"].mean()) / scale
+
+
+def spread(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PAPER) -> str | None:
+    """How far the paper's number spreads over its seeds, with the kind of spread in words; None where unknown."""
+    found = _found(env, method, metric, n_demos, origin).dropna(subset="spread")
+    if len(found) != 1:
+        return None
+    row = found.iloc[0]
+    unit = " %" if metric == "coverage" else ""
+    return f"± {row['spread']:,.4g}{unit} ({row['spread_kind']}, {row['n_seeds']} seeds)"
+
+
+def _found(env: str, method: str, metric: str, n_demos: int, origin: str) -> pd.DataFrame:
+    if metric not in METRICS:
+        raise ValueError(f"unknown metric '{metric}'; the paper has {', '.join(METRICS)}.")
+    if origin not in (PAPER, LATER):
+        raise ValueError(f"unknown origin '{origin}'; choose '{PAPER}' or '{LATER}'.")
+    table = _numbers()
+    name = LATER_NAMES.get(method, method) if origin == LATER else method
+    of_metric = table["metric"] == ("coverage_pct" if metric == "coverage" else metric)
+    at_end = table["iteration"].isna()
+    with_demos = table["n_demos"].isna() | (table["n_demos"] == n_demos)
+    same = (table["environment"] == env) & (table["method"] == name) & (table["origin"] == origin)
+    return table[same & of_metric & with_demos & at_end]
+
+
+def expert_progress(env: str) -> pd.Series:
+    """The paper's expert's QD-score by QD iteration, as far as known, its end included."""
+    table = _numbers()
+    mine = table[(table["environment"] == env) & (table["method"] == "true") & (table["metric"] == "qd_score")]
+    ends = mine["note"].str.extract(r"iteration (\d+)", expand=False).astype(int)
+    return pd.Series(mine["value"].to_numpy(), index=pd.Index(ends, name="iteration"), name="qd_score").sort_index()

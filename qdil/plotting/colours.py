@@ -1,0 +1,113 @@
+"""A colour for every method, the same in every figure, and a second channel where colours might be confused.
+
+Colours are Okabe and Ito's and Tol's, told apart with any kind of colour vision; each base also has a marker of its
+own, filled according to the prefix, and a method that is drawn under several settings has a dash for each.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+from matplotlib.colors import to_hex, to_rgb
+
+from qdil.config import ConfigError
+from qdil.registry import OBS_ONLY, Method, parse_method
+
+METHOD_COLOURS = {
+    "true": "#000000",
+    "mbo-true": "#009e73",
+    "zero": "#999933",
+    "mbo-zero": "#44aa99",
+    "gail": "#0072b2",
+    "mcond-gail": "#56b4e9",
+    "mbo-gail": "#e69f00",
+    "mconbo-gail": "#d55e00",
+    "vail": "#cc79a7",
+    "mconbo-vail": "#882255",
+    "airl": "#44aa99",
+    "mconbo-airl": "#117733",
+    "giril": "#e69f00",
+    "mconbo-giril": "#7f5a00",
+    "pwil": "#56b4e9",
+    "mconbo-pwil": "#332288",
+    "maxent": "#999999",
+    "mconbo-maxent": "#4d4d4d",
+}
+OTHER_COLOURS = ("#cc79a7", "#882255", "#999999", "#332288", "#117733")  # for what is no method of these bases
+MARKERS = {"gail": "o", "vail": "s", "airl": "^", "giril": "v", "pwil": "D", "maxent": "P", "zero": "X"}
+FILLS = {(False, False): "none", (True, False): "left", (False, True): "bottom", (True, True): "full"}
+DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (4, 1.5)),
+    (0, (1, 1.2)),
+    (0, (5, 1.5, 1, 1.5)),
+    (0, (8, 2)),
+    (0, (3, 1, 1, 1, 1, 1)),
+)
+MARKERS_OF_SETTINGS = ("o", "s", "^", "v", "D", "P", "X", "<", ">", "*", "p", "h", "d")
+MANY = 5  # settings of one method in one picture, beyond which its own colour is not enough
+SETTING_COLOURS = ("#332288", "#56b4e9", "#117733", "#ddaa33", "#aa4499", "#999933", "#882255", "#44aa99", "#777777")
+
+
+def method_colour(experiment: str, others: int = 0) -> str:
+    """The colour of an experiment's method; a name that is no method takes number ``others`` of the spare ones."""
+    name = experiment.split("+")[0]
+    if name in METHOD_COLOURS:
+        return METHOD_COLOURS[name]
+    method = _parsed(name)
+    if method is None or method.base not in METHOD_COLOURS:
+        return OTHER_COLOURS[others % len(OTHER_COLOURS)]
+    if method.obs_only:
+        return _mix(method_colour(name.removesuffix(OBS_ONLY)), "#ffffff", 0.35)
+    if method.conditioned:
+        return _mix(METHOD_COLOURS[method.base], "#ffffff", 0.4)
+    return _mix(METHOD_COLOURS[method.base], METHOD_COLOURS[f"mconbo-{method.base}"], 0.5)
+
+
+def _parsed(name: str) -> Method | None:
+    try:
+        return parse_method(name)
+    except ConfigError:
+        return None
+
+
+def _mix(colour: str, other: str, share: float) -> str:
+    """``share`` of ``other`` mixed into ``colour``."""
+    red, green, blue = ((1 - share) * a + share * b for a, b in zip(to_rgb(colour), to_rgb(other), strict=True))
+    return to_hex((red, green, blue))
+
+
+def styles(experiments: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """How lines of experiments that are drawn together look, as arguments of ``Axes.plot``; no two look the same.
+
+    A method has its colour, its base's marker, and is dashed where the reward is the true one. Under other settings it
+    gets a dash and marker for each, and where they are many also other colours.
+    """
+    names = list(dict.fromkeys(experiments))
+    spare = [name for name in names if _parsed(name.split("+")[0]) is None]
+    looks: dict[str, dict[str, Any]] = {}
+    for name in names:
+        method, varied = name.split("+")[0], [other for other in names if other.split("+")[0] == name.split("+")[0]]
+        looks[name] = _method_style(method, spare.index(name) if name in spare else 0)
+        if "+" in name:
+            looks[name] |= _setting_style(varied.index(name) + (method not in varied), len(varied) > MANY)
+    return looks
+
+
+def _method_style(name: str, spare: int) -> dict[str, Any]:
+    method = _parsed(name)
+    look: dict[str, Any] = {"color": method_colour(name, spare), "ls": "-", "marker": "None"}
+    if method is None:
+        return look | {"marker": MARKERS_OF_SETTINGS[-1 - spare % 6]}
+    if method.base == "true":
+        look |= {"ls": "--"}
+    elif method.obs_only:
+        look |= {"ls": "-."}
+    marker = MARKERS.get(method.base, "None" if method.base == "true" else "*")
+    return look | {"marker": marker, "fillstyle": FILLS[method.conditioned, method.bonus]}
+
+
+def _setting_style(number: int, colours: bool) -> dict[str, Any]:
+    """The look of variation ``number`` (from 1) of a method, added to the method's own."""
+    look: dict[str, Any] = {"ls": DASHES[number % len(DASHES)], "fillstyle": "full"}
+    look["marker"] = MARKERS_OF_SETTINGS[number % len(MARKERS_OF_SETTINGS)]
+    return look | ({"color": SETTING_COLOURS[(number - 1) % len(SETTING_COLOURS)]} if colours else {})
