@@ -55,6 +55,23 @@ def _quiet() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
+def _check(name: str, backend: str) -> None:
+    if name not in ROBOTS:
+        raise ValueError(f"unknown robot '{name}'; choose one of {', '.join(ROBOTS)}.")
+    if backend not in BACKENDS:
+        raise ValueError(f"unknown backend '{backend}'; choose one of {', '.join(BACKENDS)}.")
+
+
+@cache
+def model(name: str) -> Any:
+    """The MuJoCo model (``mujoco.MjModel``) that a robot is read from: its links, shapes and joints."""
+    _check(name, BACKENDS[0])
+    with _quiet():
+        from brax import envs
+
+        return envs.get_environment(ROBOTS[name].brax_name, backend=BACKENDS[0]).sys.mj_model
+
+
 @cache
 def make(name: str, backend: str = "spring") -> Environment:
     """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
@@ -63,10 +80,7 @@ def make(name: str, backend: str = "spring") -> Environment:
     (contact distance ≤ 0), computed from the same contacts the simulator resolves. Actions are
     clipped to [-1, 1] before they reach the robot, so that its control cost counts what was applied.
     """
-    if name not in ROBOTS:
-        raise ValueError(f"unknown robot '{name}'; choose one of {', '.join(ROBOTS)}.")
-    if backend not in BACKENDS:
-        raise ValueError(f"unknown backend '{backend}'; choose one of {', '.join(BACKENDS)}.")
+    _check(name, backend)
     with _quiet():
         from brax import contact, envs
         from brax.envs.base import State

@@ -1,0 +1,64 @@
+"""What robots look like: their capsules and spheres, and where these are in the pose that episodes begin in."""
+
+from functools import cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from qdil.robots.brax_robots import ROBOTS, foot_links, model
+
+
+class Shapes(NamedTuple):
+    """A robot's capsules, axis (G) in front; a sphere is a capsule whose ends are one point. Lengths in metres."""
+
+    link: np.ndarray  # (G,) int, number of the link that it is fixed to
+    ends: np.ndarray  # (G, 2, 3) middles of its two round ends, in the link's own frame
+    radius: np.ndarray  # (G,)
+    foot: np.ndarray  # (G,) int, the number of the foot whose contacts it makes; -1 for the rest of the robot
+
+
+class Pose(NamedTuple):
+    """Where a robot's links are; x forward, y to the left, z up."""
+
+    position: np.ndarray  # (L, 3) metres
+    rotation: np.ndarray  # (L, 4) unit quaternions, real part first
+
+
+@cache
+def shapes(name: str) -> Shapes:
+    """The capsules of a robot (a key of ``ROBOTS``). Raises ValueError for an unknown robot."""
+    mj = model(name)
+    kept = np.flatnonzero((mj.geom_bodyid > 0) & np.isin(mj.geom_type, (CAPSULE, SPHERE)))
+    half = np.where(mj.geom_type[kept] == CAPSULE, mj.geom_size[kept, 1], 0.0)
+    along = rotated(mj.geom_quat[kept], np.array([0.0, 0.0, 1.0])) * half[:, None]
+    ends = np.stack([mj.geom_pos[kept] - along, mj.geom_pos[kept] + along], axis=1)
+    link = mj.geom_bodyid[kept] - 1  # body 0 is the world
+    feet = foot_links([mj.body(i + 1).name for i in range(mj.nbody - 1)], ROBOTS[name].feet)
+    foot = np.array([feet.index(i) if i in feet else -1 for i in link])
+    return Shapes(link, ends, mj.geom_size[kept, 0].copy(), foot)
+
+
+CAPSULE, SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
+
+
+@cache
+def first_pose(name: str) -> Pose:
+    """The pose that a robot's episodes begin in, but for the small random changes of each."""
+    mj = model(name)
+    data = mujoco.MjData(mj)
+    mujoco.mj_kinematics(mj, data)
+    return Pose(data.xpos[1:].copy(), data.xquat[1:].copy())
+
+
+def placed(robot: Shapes, pose: Pose) -> np.ndarray:
+    """(G, 2, 3): the ends of a robot's capsules in the world."""
+    turned = rotated(pose.rotation[robot.link, None], robot.ends)
+    return turned + pose.position[robot.link, None]
+
+
+def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """``vector`` (…, 3) turned by unit quaternions (…, 4), real part first; shapes broadcast."""
+    real, axis = quaternion[..., :1], quaternion[..., 1:]
+    across = 2 * np.cross(axis, vector)
+    return vector + real * across + np.cross(axis, across)

@@ -1,0 +1,59 @@
+"""Where a robot's capsules are, against MuJoCo's and Brax's own kinematics."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from qdil.robots import brax_robots, shapes
+from qdil.robots.brax_robots import ROBOTS
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_capsules_lie_where_mujoco_puts_them(name):
+    model = brax_robots.model(name)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    robot = shapes.shapes(name)
+    ends = shapes.placed(robot, shapes.first_pose(name))
+    bodies = np.flatnonzero(model.geom_bodyid > 0)
+    np.testing.assert_allclose(ends.mean(axis=1), data.geom_xpos[bodies], atol=1e-9)
+    axes = data.geom_xmat[bodies].reshape(-1, 3, 3)[:, :, 2]
+    lengths = np.where(model.geom_type[bodies] == mujoco.mjtGeom.mjGEOM_CAPSULE, model.geom_size[bodies, 1], 0)
+    np.testing.assert_allclose((ends[:, 1] - ends[:, 0]) / 2, axes * lengths[:, None], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_links_are_numbered_as_the_simulator_numbers_them(name):
+    with brax_robots._quiet():
+        from brax import envs, kinematics
+
+        system = envs.get_environment(ROBOTS[name].brax_name, backend="spring").sys
+        x, _ = jax.jit(kinematics.forward)(system, system.init_q, jnp.zeros(system.qd_size()))
+    pose = shapes.first_pose(name)
+    np.testing.assert_allclose(pose.position, x.pos, atol=1e-5)
+    np.testing.assert_allclose(pose.rotation, x.rot, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_feet_are_the_lowest_links_and_stand_on_the_ground(name):
+    robot = shapes.shapes(name)
+    bottom = shapes.placed(robot, shapes.first_pose(name))[:, :, 2].min(axis=1) - robot.radius
+    for foot in (0, 1):
+        lowest = bottom[robot.foot == foot].min()
+        assert -0.11 < lowest < 0.15  # metres: an episode begins with feet near the ground, at most a little in it
+        assert lowest <= bottom[robot.foot == -1].min()
+
+
+def test_turning_agrees_with_scipy():
+    rng = np.random.default_rng(0)
+    turns, vectors = Rotation.random(20, rng=rng), rng.normal(size=(20, 3))
+    quaternions = turns.as_quat(scalar_first=True)
+    np.testing.assert_allclose(shapes.rotated(quaternions, vectors), turns.apply(vectors), atol=1e-12)
+
+
+def test_unknown_robot_is_refused():
+    with pytest.raises(ValueError, match="unknown robot 'dog'"):
+        shapes.shapes("dog")
