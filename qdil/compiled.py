@@ -26,9 +26,9 @@ from qdil.types import RewardContext
 
 # The settings that the search's programs depend on, and those that a reward's do.
 SEARCH_SETTINGS = (
-    "env", "backend", "candidates", "episodes", "sample_actions", "eval_chunk", "actor_hidden", "critic_hidden",
-    "initial_std", "num_envs", "window", "episode_length", "minibatches", "gamma", "gae_lambda", "clip", "value_coef",
-    "entropy_coef", "max_grad_norm", "learning_rate", "target_kl",
+    "env", "backend", "candidates", "episodes", "sample_actions", "eval_chunk", "eval_tile", "actor_hidden",
+    "critic_hidden", "initial_std", "num_envs", "window", "episode_length", "minibatches", "gamma", "gae_lambda",
+    "clip", "value_coef", "entropy_coef", "max_grad_norm", "learning_rate", "target_kl",
 )  # fmt: skip
 REWARD_SETTINGS = (
     "env", "backend", "candidates", "episodes", "num_envs", "episode_length", "bonus_scope", "expert_obs",

@@ -45,6 +45,7 @@ class Config:
     walk_weights: str = "xnes"  # the walk's reward: weighted by "xnes" (Algorithm 1) or "fitness" alone (released)
     sample_actions: bool = True  # candidates and demonstrators act by samples of π_θ (True) or by its mean
     eval_chunk: int = 50  # steps between checks whether all evaluated robots have finished
+    eval_tile: int = 1000  # evaluated robots that a device simulates together; those that have finished are left out
 
     # VPPO
     actor_hidden: tuple[int, ...] = (128, 128)  # tanh layers (authors)
@@ -104,6 +105,8 @@ LAPTOP: dict[str, Any] = {
     "sigma0": 2.0,
     "archive_learning_rate": 1.0,
     "sample_actions": False,
+    "eval_chunk": 25,
+    "eval_tile": 24,
     "actor_hidden": (64, 64),
     "critic_hidden": (64, 64),
     "num_envs": 192,
@@ -243,8 +246,8 @@ def _typed(kind: Any, text: str) -> Any:
 
 
 AT_LEAST_ONE = (
-    "iterations", "gradient_updates", "walk_updates", "candidates", "episodes", "cells", "eval_chunk", "num_envs",
-    "window", "episode_length", "minibatches", "epochs", "demo_episodes", "reward_steps", "reward_batch",
+    "iterations", "gradient_updates", "walk_updates", "candidates", "episodes", "cells", "eval_chunk", "eval_tile",
+    "num_envs", "window", "episode_length", "minibatches", "epochs", "demo_episodes", "reward_steps", "reward_batch",
     "vail_latent", "giril_steps",
 )  # fmt: skip
 POSITIVE = (

@@ -62,7 +62,7 @@ def assemble(config: Config) -> Parts:
     env = brax_robots.make(config.env, config.backend)
     like = policy_like(config, env)
     c = config
-    scored = episodes(env, like, c.episodes, c.episode_length, c.eval_chunk, c.sample_actions)
+    scored = episodes(env, like, c.episodes, c.episode_length, c.eval_chunk, c.eval_tile, c.sample_actions)
     return Parts(config, env, vppo_settings(config), scored, like)
 
 

@@ -19,13 +19,13 @@ def fitness(steps):
     return (steps.obs[..., 0] - 0.5) / 2 + 3 * steps.action[..., 0] + steps.proxy[..., 1]
 
 
-def scored(env, policies, key, rewards=fitness, sample_actions=False, limit=LIMIT, chunk=CHUNK):
+def scored(env, policies, key, rewards=fitness, sample_actions=False, limit=LIMIT, chunk=CHUNK, tile=1000):
     """Scores as arrays; a ``rewards`` that is called once for every chunk of steps that was simulated."""
 
     def pay(carry, steps, counted):
         return carry, evaluate.paid_in(rewards(steps), counted)
 
-    pieces = evaluate.episodes(env, LIKE, key.shape[1], limit, chunk, sample_actions)
+    pieces = evaluate.episodes(env, LIKE, key.shape[1], limit, chunk, tile, sample_actions)
     scores = evaluate.run(evaluate.Episodes(*map(jax.jit, pieces)), pay, policies, (), key)
     return jax.tree.map(np.asarray, scores)
 
@@ -68,8 +68,9 @@ def episode_by_hand(policies, i, position):
     return total, true, np.mean(proxies, axis=0), length
 
 
-def test_scores_equal_a_plain_loop_over_every_episode(policies, keys):
-    scores = scored(counter(BOUND), policies, keys)
+@pytest.mark.parametrize("tile", [1, 4, 5, 1000])
+def test_scores_equal_a_plain_loop_over_every_episode(policies, keys, tile):
+    scores = scored(counter(BOUND), policies, keys, tile=tile)
     starts = np.asarray(start(counter(BOUND), keys.reshape(-1), 1).robot.physics).reshape(CANDIDATES, EPISODES)
     lengths = []
     for i in range(CANDIDATES):
@@ -131,6 +132,20 @@ def test_a_robot_that_fell_is_driven_no_further():
     scores, chunks = watched([0.8, 0.0], 1.5)
     assert scores.length[0] <= 2 and scores.length[1] == LIMIT
     assert np.max(chunks) < 1.5
+
+
+def test_robots_that_have_finished_leave_their_tile_to_others():
+    """One robot of four lasts: from the second chunk on only its tile is simulated, the rest of the data stays zero."""
+    driven = []
+
+    def watching(steps):
+        driven.append(int(np.any(np.asarray(steps.next_obs[..., 0]) != 0, axis=0).sum()))
+        return steps.reward
+
+    keys = jax.random.split(jax.random.key(0), (4, 1))
+    scores = scored(counter(1.5), always([0.9, 0.9, 0.01, 0.9]), keys, watching, tile=2)
+    assert np.argmax(scores.length) == 2 and scores.length[2] == LIMIT
+    assert driven == [4, 2, 2]
 
 
 def test_sampled_actions_have_the_policys_mean_and_spread():

@@ -76,12 +76,19 @@ def paid_in(rewards: jax.Array, counted: jax.Array) -> jax.Array:
 
 
 def episodes(
-    env: Environment, like: Params, num_episodes: int, episode_length: int, chunk: int, sample_actions: bool
+    env: Environment,
+    like: Params,
+    num_episodes: int,
+    episode_length: int,
+    chunk: int,
+    tile: int,
+    sample_actions: bool,
 ) -> Episodes:
     """Whole episodes, ``num_episodes`` of each policy, simulated ``chunk`` steps at a time.
 
     Each policy acts under its own observation statistics. ``sample_actions`` draws a ~ π_θ; otherwise the policy's
-    mean acts. A robot that has finished is frozen and counts no more.
+    mean acts. Of a device's robots those still going are simulated, at most ``tile`` together; one that has finished
+    is frozen, counts no more and, once all the others fit into fewer tiles, costs no more.
     """
 
     def begin(key: jax.Array) -> tuple[Actors, Tally]:
@@ -90,24 +97,20 @@ def episodes(
         yes = jnp.ones(key.size, bool)
         return actors, Tally(yes, yes, zeros, jnp.zeros_like(actors.robot.proxy), zeros)
 
-    def act(policy: Params, obs_mean: jax.Array, obs_std: jax.Array, key: jax.Array, obs: jax.Array) -> jax.Array:
-        zeros = jnp.zeros_like(obs_mean)
+    def act(theta: jax.Array, obs_mean: jax.Array, obs_std: jax.Array, key: jax.Array, obs: jax.Array) -> jax.Array:
+        zeros, policy = jnp.zeros_like(obs_mean), networks.unflatten(theta, like)
         mean = networks.policy_mean(policy, ObsStats(obs_mean, obs_std, zeros, zeros), obs)
-        if not sample_actions:
-            return mean
-        noise = jax.vmap(lambda k: jax.random.normal(k, mean.shape[-1:]))(key)
-        return mean + noise * jnp.exp(policy["log_std"])
+        if sample_actions:
+            mean = mean + jax.random.normal(key, mean.shape) * jnp.exp(policy["log_std"])
+        return jnp.clip(mean, -1.0, 1.0)
 
-    def advance(policies: Policies, actors: Actors, tally: Tally):
-        params = jax.vmap(lambda t: networks.unflatten(t, like))(policies.theta)
-        by_policy = (len(policies.theta), num_episodes)
+    def drive(policies: Policies, actors: Actors, alive: jax.Array, finite: jax.Array):
+        """A chunk of steps of some robots, each with its own policy."""
 
         def step(carry, _):
             (robot, steps, limit, proxy_sum, key), alive, finite = carry
             key, act_key = split_each(key)
-            obs = robot.obs.reshape(*by_policy, -1)
-            action = jax.vmap(act)(params, policies.obs_mean, policies.obs_std, act_key.reshape(by_policy), obs)
-            action = jnp.clip(action.reshape(len(robot.obs), -1), -1.0, 1.0)
+            action = jax.vmap(act)(*policies, act_key, robot.obs)
             after, outcome = jax.vmap(env.step)(robot, action)
             steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
             truncated = (steps >= limit) & ~outcome.terminated
@@ -120,8 +123,27 @@ def episodes(
             frozen = where_each(still, after, robot)
             return (Actors(frozen, steps, limit, proxy_sum, key), still, finite), (transition, alive)
 
+        return jax.lax.scan(step, (actors, alive, finite), None, chunk)
+
+    def advance(policies: Policies, actors: Actors, tally: Tally):
+        count = len(tally.alive)
+        together = max(size for size in range(1, min(tile, count) + 1) if count % size == 0)
+        order = jnp.argsort(~tally.alive, stable=True)  # those still going first
+        everyones = jax.tree.map(lambda leaf: jnp.repeat(leaf, num_episodes, axis=0), policies)
         begun = (actors, tally.alive, tally.finite)
-        (actors, alive, finite), (transitions, counted) = jax.lax.scan(step, begun, None, chunk)
+
+        def one_tile(i, carry):
+            now, seen = carry
+            rows = jax.lax.dynamic_slice_in_dim(order, i * together, together)
+            mine, theirs = jax.tree.map(lambda leaf: leaf[rows], (everyones, now))
+            after, steps = drive(mine, *theirs)
+            now = jax.tree.map(lambda all_, some: all_.at[rows].set(some), now, after)
+            return now, jax.tree.map(lambda all_, some: all_.at[:, rows].set(some), seen, steps)
+
+        shapes = jax.eval_shape(lambda: drive(everyones, *begun)[1])
+        unseen = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        tiles = (jnp.sum(tally.alive) + together - 1) // together
+        (actors, alive, finite), (transitions, counted) = jax.lax.fori_loop(0, tiles, one_tile, (begun, unseen))
         tally = Tally(
             alive,
             finite,
