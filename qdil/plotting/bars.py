@@ -58,7 +58,8 @@ def _bars(ax: Axes, values: pd.Series, experiments: list[str]) -> None:
     ax.set_axisbelow(True)
     ax.spines[["top", "right", "left"]].set_visible(False)
     ax.tick_params(axis="y", length=0)
-    ax.xaxis.set_major_locator(MaxNLocator(4))
+    ax.xaxis.set_major_locator(MaxNLocator(3))
+    ax.xaxis.set_major_formatter("{x:,.5g}")
 
 
 def grid(final: pd.DataFrame, rows: str = "bonus_p", columns: str = "bonus_q", metric: str = "qd_score") -> Figure:

@@ -83,13 +83,16 @@ def styles(experiments: Iterable[str]) -> dict[str, dict[str, Any]]:
     gets a dash and marker for each, and where they are many also other colours.
     """
     names = list(dict.fromkeys(experiments))
-    spare = [name for name in names if _parsed(name.split("+")[0]) is None]
-    looks: dict[str, dict[str, Any]] = {}
-    for name in names:
-        method, varied = name.split("+")[0], [other for other in names if other.split("+")[0] == name.split("+")[0]]
-        looks[name] = _method_style(method, spare.index(name) if name in spare else 0)
-        if "+" in name:
-            looks[name] |= _setting_style(varied.index(name) + (method not in varied), len(varied) > MANY)
+    methods = {name: name.split("+")[0] for name in names}
+    spare = [name for name in names if _parsed(methods[name]) is None]
+    looks = {name: _method_style(methods[name], spare.index(name) if name in spare else 0) for name in names}
+    free = [colour for colour in SETTING_COLOURS if colour not in {look["color"] for look in looks.values()}]
+    for name, method in methods.items():
+        varied = [other for other in names if methods[other] == method and "+" in other]
+        if name in varied:
+            number = varied.index(name)
+            looks[name] |= _setting_style(number + 1)
+            looks[name] |= {"color": free[number % len(free)]} if len(varied) >= MANY else {}
     return looks
 
 
@@ -106,8 +109,7 @@ def _method_style(name: str, spare: int) -> dict[str, Any]:
     return look | {"marker": marker, "fillstyle": FILLS[method.conditioned, method.bonus]}
 
 
-def _setting_style(number: int, colours: bool) -> dict[str, Any]:
-    """The look of variation ``number`` (from 1) of a method, added to the method's own."""
-    look: dict[str, Any] = {"ls": DASHES[number % len(DASHES)], "fillstyle": "full"}
-    look["marker"] = MARKERS_OF_SETTINGS[number % len(MARKERS_OF_SETTINGS)]
-    return look | ({"color": SETTING_COLOURS[(number - 1) % len(SETTING_COLOURS)]} if colours else {})
+def _setting_style(number: int) -> dict[str, Any]:
+    """The dash and marker of variation ``number`` (from 1) of a method, in place of the method's own."""
+    marker = MARKERS_OF_SETTINGS[number % len(MARKERS_OF_SETTINGS)]
+    return {"ls": DASHES[number % len(DASHES)], "marker": marker, "fillstyle": "full"}

@@ -14,7 +14,7 @@ from qdil.plotting.style import METRICS, X_LABELS, label, percent
 Tables: TypeAlias = pd.DataFrame | Sequence[pd.DataFrame]
 POINTS = 200  # of a curve over seeds whose own points do not lie at the same x
 MARKS = 6  # markers along a curve, the curves' out of step with each other
-IN_A_ROW = 6  # entries of the legend
+MOST_CHARACTERS = 160  # in a row of the legend
 
 
 def learning_curves(metrics: Mapping[str, Tables], x: str = "iteration") -> Figure:
@@ -31,35 +31,42 @@ def learning_curves(metrics: Mapping[str, Tables], x: str = "iteration") -> Figu
     seeds = {name: [tables] if isinstance(tables, pd.DataFrame) else list(tables) for name, tables in metrics.items()}
     if not any(seeds.values()):
         raise ValueError("there are no metrics to draw.")
-    figure = Figure(figsize=(13, 3.3 + 0.25 * ((len(seeds) - 1) // IN_A_ROW)), layout="constrained")
+    columns = min(len(seeds), MOST_CHARACTERS // (6 + max(len(label(name)) for name in seeds)))
+    figure = Figure(figsize=(13, 3.3 + 0.25 * ((len(seeds) - 1) // columns)), layout="constrained")
     axes = figure.subplots(1, len(METRICS))
     looks = styles(seeds)
     for ax, (name, title) in zip(axes, METRICS.items(), strict=True):
         for i, (experiment, tables) in enumerate(seeds.items()):
             if tables:
-                _draw(ax, tables, x, name, looks[experiment] | {"label": _with_seeds(experiment, tables)}, i)
+                _draw(ax, tables, x, name, looks[experiment] | {"label": label(experiment)}, i)
         ax.set(xlabel=X_LABELS[x], title=title)
         ax.grid(color="0.92")
+        ax.set_axisbelow(True)
         ax.spines[["top", "right"]].set_visible(False)
         ax.xaxis.get_major_locator().set_params(integer=x != "wall_seconds", nbins=5)
     axes[1].set_ylim(0, 103)
-    figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(seeds), 6), frameon=False
-    )
+    lines = axes[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=columns, frameon=False, title=_seeds(seeds))
     return figure
 
 
-def _with_seeds(experiment: str, tables: Sequence[pd.DataFrame]) -> str:
-    return label(experiment) + (f" ({len(tables)} seeds)" if len(tables) > 1 else "")
+def _seeds(metrics: Mapping[str, Sequence[pd.DataFrame]]) -> str | None:
+    """What a line and its band are, over how many seeds; nothing where every experiment has one."""
+    counts = {name: len(tables) for name, tables in metrics.items() if tables}
+    if max(counts.values()) == 1:
+        return None
+    if len(set(counts.values())) == 1:
+        over = f"{max(counts.values())} seeds"
+    else:
+        over = "seeds: " + ", ".join(f"{label(name)} {count}" for name, count in counts.items())
+    return f"line: mean, band: ± one standard deviation over {over}"
 
 
 def _draw(ax: Axes, tables: Sequence[pd.DataFrame], x: str, name: str, style: dict, number: int) -> None:
     where, values = over_seeds(tables, x, name)
     values = percent(name) * values
-    few = len(where) < 20
-    every = (
-        1 if few else (len(where) * (number % MARKS) // MARKS**2, max(1, len(where) // MARKS))
-    )  # markers out of step
+    n, few = len(where), len(where) < 20
+    every = 1 if few else (n * (number % MARKS) // MARKS**2, n // MARKS)
     ax.plot(where, values.mean(axis=0), markevery=every, ms=4, lw=1.4, **style)
     if len(values) > 1:
         spread = values.std(axis=0, ddof=1)

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdil.files import replace_file
-from qdil.plotting.colours import method_colour as method_colour
 from qdil.robots.brax_robots import ROBOTS
 
 GREEN, BLUE, RED = "#009e73", "#0072b2", "#d55e00"
