@@ -97,19 +97,16 @@ def paid(
     """
     model = reward_model(config, brax_robots.make(config.env, config.backend))
 
-    def learn_and_pay(demos: Demonstrations, policy: Transitions, shown: dict[str, Transitions]) -> dict:
+    def learn_and_pay(demos: Demonstrations, policy: Transitions, shown: list[Transitions]) -> list:
         obs = jnp.concatenate([demos.obs, policy.obs.reshape(-1, demos.obs.shape[1])])
         stats = update_obs_stats(init_obs_stats(demos.obs.shape[1]), obs, axis=None)
         context = RewardContext(stats, jnp.zeros((1,) * demos.proxy.shape[1], bool))
         begin_key, learn_key = jax.random.split(jax.random.key(seed))
         state, _ = model.update(learn_key, model.init(begin_key, demos), context, demos, policy)
-        return {
-            kind: model.reward(state, model.begin(state, steps.obs.shape[1]), context, steps)[1]
-            for kind, steps in shown.items()
-        }
+        return [model.reward(state, model.begin(state, some.obs.shape[1]), context, some)[1] for some in shown]
 
-    answers = jax.jit(learn_and_pay)(learned, policy, dict(shown))
-    return {kind: np.asarray(answers[kind]) for kind in shown}
+    answers = jax.jit(learn_and_pay)(learned, policy, list(shown.values()))
+    return {kind: np.asarray(answer) for kind, answer in zip(shown, answers, strict=True)}
 
 
 def chance_above(some: np.ndarray, others: np.ndarray) -> float:
