@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from qdil.imitation.demos import farthest_points, top_fifth
 from qdil.plotting.robots import FEET
-from qdil.plotting.style import GREEN, RED, label_measures, measure_labels
+from qdil.plotting.style import GREEN, RED, label_measures
+from qdil.robots.brax_robots import ROBOTS
 
 
 def selection(expert: Mapping[str, Any], count: int, robot: str | None = None) -> Figure:
@@ -72,11 +73,15 @@ def contact_strips(
         first, second = demos["episode_measures"][number]
         said = f"return {demos['episode_return'][number]:,.0f} in {len(proxy)} steps"
         ax.set_title(f"demonstration {number + 1}: {said}; m = ({first:.2f}, {second:.2f})", fontsize=9, loc="left")
-    names = [line.split("(")[-1].split(")")[0] for line in measure_labels(robot)] if robot else []
     for ax in axes:
-        ax.set_yticks([0.5, 1.5], names or ["foot 1", "foot 2"])
+        ax.set_yticks([0.5, 1.5], foot_names(robot))
     axes[-1].set_xlabel("time (s); coloured where the foot touches the ground")
     return figure
+
+
+def foot_names(robot: str | None) -> list[str]:
+    """What the two feet are called, foot 1 first; the simulator's names where a robot is given."""
+    return list(ROBOTS[robot].feet) if robot else ["foot 1", "foot 2"]
 
 
 def contacts(ax: Axes, proxy: np.ndarray, step_seconds: float) -> None:
