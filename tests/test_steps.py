@@ -57,6 +57,14 @@ def test_of_one_episode_the_second_half_is_held_back(file):
     np.testing.assert_allclose(split.held_out.obs[:, 0], data["obs"][3:], rtol=1e-6)
 
 
+def test_only_as_many_as_asked_for_are_learned_from(file):
+    path, data = file([3, 5, 4])
+    split = steps.split(path, 0, keep=1)
+    np.testing.assert_allclose(split.learned.obs, data["obs"][data["episode"] == 1], rtol=1e-6)
+    with pytest.raises(ConfigError, match="leaves 2 episodes"):
+        steps.split(path, 0, keep=3)
+
+
 def test_what_cannot_be_split_is_refused(file, tmp_path):
     path, _ = file([3, 3])
     with pytest.raises(ConfigError, match="no episode 2"):
@@ -72,6 +80,22 @@ def test_other_actions_are_the_same_ones_elsewhere():
     assert not np.array_equal(mine, theirs) and sorted(mine.tolist()) == sorted(theirs.tolist())
     for name in set(Transitions._fields) - {"action"}:
         np.testing.assert_array_equal(getattr(some, name), getattr(other, name))
+
+
+def test_actions_that_follow_a_linear_law_are_explained_by_what_the_law_reads():
+    rng = np.random.default_rng(0)
+
+    def rows(count):
+        obs, proxy = rng.normal(5, 3, (count, OBS)), rng.normal(size=(count, 2))
+        return Demonstrations(obs, obs[:, :2] - 2 * proxy + 1, rng.normal(size=(count, OBS)), proxy)
+
+    held_out = steps.Split(rows(300), None, jax.tree.map(lambda x: x[:, None], rows(200)))
+    everything = steps.actions_explained(held_out, ["obs", "proxy"])
+    assert everything == pytest.approx({"learned from": 1.0, "held out": 1.0}, abs=1e-4)
+    # Of a variance of 3² + 2² the observation makes up 3², and the proxy 2².
+    assert steps.actions_explained(held_out, ["obs"])["held out"] == pytest.approx(9 / 13, abs=0.1)
+    assert steps.actions_explained(held_out, ["proxy"])["held out"] == pytest.approx(4 / 13, abs=0.1)
+    assert steps.actions_explained(held_out, ["next_obs"])["held out"] < 0.05
 
 
 def test_chances_are_counted_by_hand():

@@ -4,7 +4,7 @@ A closer look at one reward model than a whole run gives: it learns for a moment
 steps of known kinds. Or it learns from any rows at all, such as points in a plane, while one watches.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,11 +37,11 @@ class Split(NamedTuple):
     held_out: Transitions  # (T', 1) an episode that they are not
 
 
-def split(path: Path, out: int = -1) -> Split:
+def split(path: Path, out: int = -1, keep: int | None = None) -> Split:
     """Read a demonstrations file and hold episode ``out`` back (negative: from the last).
 
-    Where there is one episode alone, its second half is held back. Raises ConfigError where there is no such file or
-    episode.
+    ``keep`` ≥ 1 episodes are learned from, the first of the others (None: all of them). Where there is one episode
+    alone, its second half is held back. Raises ConfigError where there is no such file or episode, or too few.
     """
     if not path.is_file():
         raise ConfigError(f"no demonstrations at {path}: make them with 'qdil demos'.")
@@ -53,9 +53,12 @@ def split(path: Path, out: int = -1) -> Split:
     back = data["episode"] == numbers[out]
     if len(numbers) == 1:
         back = np.arange(len(back)) >= len(back) // 2
-    first = data["episode"] == data["episode"][~back][0]
-    rows = (jnp.asarray(data[name][~back], jnp.float32) for name in Demonstrations._fields)
-    return Split(Demonstrations(*rows), _as_steps(data, ~back & first), _as_steps(data, back))
+    rest = np.unique(data["episode"][~back])
+    if keep is not None and not 1 <= keep <= len(rest):
+        raise ConfigError(f"{path} leaves {len(rest)} episodes to learn from, so that keep={keep} is none of them.")
+    learn = ~back & np.isin(data["episode"], rest[:keep])
+    rows = (jnp.asarray(data[name][learn], jnp.float32) for name in Demonstrations._fields)
+    return Split(Demonstrations(*rows), _as_steps(data, learn & (data["episode"] == rest[0])), _as_steps(data, back))
 
 
 def _as_steps(data: Mapping[str, np.ndarray], rows: np.ndarray) -> Transitions:
@@ -107,6 +110,29 @@ def paid(
 
     answers = jax.jit(learn_and_pay)(learned, policy, list(shown.values()))
     return {kind: np.asarray(answer) for kind, answer in zip(shown, answers, strict=True)}
+
+
+def actions_explained(split: Split, names: Sequence[str]) -> dict[str, float]:
+    """The share of actions' variance that a linear function of some fields explains, in both kinds of steps.
+
+    The function is fitted to ``split.learned``, every number of it in its own spread, by least squares; ``names`` are
+    fields of ``Demonstrations``. Shares are at most 1, and negative where a constant would do better.
+    """
+    held_out = Demonstrations(*(getattr(split.held_out, name)[:, 0] for name in Demonstrations._fields))
+    known = np.concatenate([np.asarray(getattr(split.learned, name), float) for name in names], axis=1)
+    center, spread = known.mean(axis=0), np.maximum(known.std(axis=0), 1e-3)
+
+    def columns(rows: Demonstrations) -> np.ndarray:
+        x = np.concatenate([np.asarray(getattr(rows, name), float) for name in names], axis=1)
+        return np.concatenate([(x - center) / spread, np.ones((len(x), 1))], axis=1)
+
+    weights = np.linalg.lstsq(columns(split.learned), np.asarray(split.learned.action, float))[0]
+    shares = {}
+    for kind, rows in {"learned from": split.learned, "held out": held_out}.items():
+        action = np.asarray(rows.action, float)
+        wrong = np.square(action - columns(rows) @ weights).sum()
+        shares[kind] = float(1 - wrong / np.square(action - action.mean(axis=0)).sum())
+    return shares
 
 
 def chance_above(some: np.ndarray, others: np.ndarray) -> float:

@@ -1,0 +1,42 @@
+"""Final metrics by the number of demonstrations: ours from runs, the paper's from its figure (Figs. 12, 13)."""
+
+import numpy as np
+import pandas as pd
+
+from qdil.config import make_config, parse_settings
+from qdil.evidence import paper, tables
+
+COLUMNS = ["method", "n_demos", "metric", "value", "spread"]
+
+
+def ours(runs: tables.Runs, env: str, budget: str) -> pd.DataFrame:
+    """A row per method, number of demonstrations and metric of ``runs``.
+
+    ``value`` is the mean over seeds in reward units, coverage as a share of the cells; ``spread`` the standard
+    deviation over seeds, NaN of a single one. An experiment without a number of its own has the budget's.
+    """
+    rows = []
+    for name, group in tables.final(runs).groupby(level="experiment", sort=False):
+        method, *settings = str(name).split("+")
+        count = make_config(env, method, budget, **parse_settings(settings)).demo_episodes
+        for metric in paper.METRICS:
+            values = group[metric].to_numpy()
+            rows.append([method, count, metric, values.mean(), values.std(ddof=1) if len(values) > 1 else np.nan])
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def published(env: str) -> pd.DataFrame:
+    """The same of the paper's figure, as far as it could be read; ``spread`` is its standard error of three seeds."""
+    known = paper.numbers()
+    known = known[(known["origin"] == paper.PAPER) & (known["environment"] == env) & known["n_demos"].notna()]
+    shares = known["metric"] == "coverage_pct"
+    scale = np.where(shares, 0.01, 1.0)
+    return pd.DataFrame(
+        {
+            "method": known["method"],
+            "n_demos": known["n_demos"].astype(int),
+            "metric": known["metric"].where(~shares, "coverage"),
+            "value": known["value"] * scale,
+            "spread": known["spread"] * scale,
+        }
+    ).reset_index(drop=True)
