@@ -1,0 +1,76 @@
+"""What the kept demonstrations are: read for every robot that has some, and summed up as in Table 3."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from qdil import run
+from qdil.config import ROBOTS, make_config
+from qdil.robots.brax_robots import ROBOTS as FEET_OF
+
+Demos = dict[str, np.ndarray]  # a demonstrations file's columns, a row per step, and what it says per episode
+
+
+def of_robots(budget: str, root: Path = run.RESULTS) -> dict[str, Demos]:
+    """The demonstrations of the budget's usual number, by robot, of those robots that have a file."""
+    paths = {
+        env: run.demos_path(budget, env, make_config(env, "true", budget).demo_episodes, root) for env in sorted(ROBOTS)
+    }
+    return {env: read(path) for env, path in paths.items() if path.is_file()}
+
+
+def read(path: Path) -> Demos:
+    """All columns of a demonstrations file, as ``qdil demos`` wrote it."""
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def episodes(demos: Demos, robot: str) -> pd.DataFrame:
+    """A row per demonstration: steps, return and measures of the recorded episode, and what the archive said of it."""
+    elite, recorded = demos["elite_measures"], demos["episode_measures"]
+    table = {
+        "steps (rows)": np.bincount(demos["episode"]),
+        "return": demos["episode_return"],
+        "return in the archive": demos["elite_return"],
+    }
+    for j, foot in enumerate(FEET_OF[robot].feet):
+        table[f"{foot} down"], table[f"{foot} down in the archive"] = recorded[:, j], elite[:, j]
+    return pd.DataFrame(table, index=pd.RangeIndex(1, len(recorded) + 1, name="demonstration"))
+
+
+def summary(by_robot: Mapping[str, Demos]) -> pd.DataFrame:
+    """A row per robot, as Table 3 might have had it: episodes, rows, widths, mean length and return (± deviation)."""
+    rows = {}
+    for robot, demos in by_robot.items():
+        lengths, returns = np.bincount(demos["episode"]), demos["episode_return"]
+        rows[robot] = {
+            "demonstrations": len(lengths),
+            "rows": len(demos["obs"]),
+            "numbers per state": demos["obs"].shape[1],
+            "numbers per action": demos["action"].shape[1],
+            "steps per episode": _spread(lengths),
+            "return per episode": _spread(returns),
+        }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("robot")
+
+
+def _spread(values: np.ndarray) -> str:
+    """Mean ± standard deviation, of a single value the value alone."""
+    return f"{values.mean():,.0f}" + (f" ± {values.std(ddof=1):,.0f}" if len(values) > 1 else "")
+
+
+def one_step(demos: Demos, row: int) -> pd.DataFrame:
+    """What is stored of one step, a row per part: its shape and its first numbers."""
+    says = {
+        "obs": "state sₜ",
+        "action": "action aₜ",
+        "next_obs": "next state sₜ₊₁",
+        "proxy": "contacts δ(sₜ)",
+    }
+    parts = {
+        said: [len(demos[name][row]), "  ".join(f"{x:.2f}" for x in demos[name][row][:6])]
+        for name, said in says.items()
+    }
+    return pd.DataFrame.from_dict(parts, orient="index", columns=["numbers", "the first of them"])
