@@ -1,0 +1,91 @@
+"""The explorer without a kernel: a page that holds everything, and what a notebook keeps of it."""
+
+import base64
+import html
+import json
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from qdil.explorer import shown as showing
+from qdil.explorer.pack import pack
+from qdil.explorer.shown import Shown
+
+STATIC = Path(__file__).parent / "static"
+RECORDINGS = 100  # episodes in a page, over all its runs
+MOST_BYTES = 900_000  # of packed episodes in a page, so that a notebook that holds one stays below 2 MB
+
+# The script is kept deflated, a quarter of its size; inflating it is the only thing that runs before it.
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>html, body {{ margin: 0; }} {css}</style>
+</head>
+<body>
+<div id="qdil-explorer"></div>
+<script>
+globalThis.qdilPage = {data};
+const packed = Uint8Array.from(atob("{script}"), (c) => c.charCodeAt(0));
+new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"))).text().then((code) => {{
+  const script = document.createElement("script");
+  script.type = "module";
+  script.textContent = code;
+  document.head.append(script);
+}});
+</script>
+</body>
+</html>
+"""
+
+FRAGMENT = (
+    '<div style="position:relative;width:100%;max-width:1180px;min-height:660px">'
+    '<img src="data:image/png;base64,{picture}" alt="{alt}" style="display:block;width:100%">'
+    '<iframe srcdoc="{page}" title="{alt}" sandbox="allow-scripts" '
+    'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe></div>'
+)
+
+
+def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS) -> str:
+    """A whole HTML document: the explorer of ``runs`` with about ``recordings`` episodes, and nothing to load.
+
+    ``state``: what is chosen at first (run, against, field, iteration, selected, as in the widget). Episodes are of
+    cells spread over each archive, those of ``selected`` always among them.
+    """
+    playing = [shown.plays for shown in runs]
+    share = -(-recordings // max(1, sum(playing)))
+    wanted = [[cell for run, cell in state.get("selected", []) if run == i] for i in range(len(runs))]
+    packed: dict[str, str] = {}
+    playable: list[list[int]] = []
+    left = MOST_BYTES
+    for i, shown in enumerate(runs):
+        cells = [c for c in dict.fromkeys(wanted[i] + showing.spread_out(shown, share)) if c in shown.archive["index"]]
+        cells = cells if playing[i] else []
+        kept: list[int] = []
+        allowance = left // max(1, sum(playing[i:]))
+        for cell, rollout in zip(cells, showing.roll_out(shown, cells) if cells else [], strict=True):
+            content = pack(rollout)
+            if len(content) > allowance:
+                break
+            allowance, left = allowance - len(content), left - len(content)
+            packed[f"{i}:{cell}"] = base64.b64encode(content).decode()
+            kept.append(cell)
+        playable.append(kept)
+    data = {"show": showing.told(runs, playable), "rollouts": packed, "state": state}
+    return PAGE.format(
+        title=html.escape(f"Archive explorer: {', '.join(shown.name for shown in runs)}"),
+        css=(STATIC / "explorer.css").read_text(),
+        data=json.dumps(data).replace("<", "\\u003c"),
+        script=base64.b64encode(zlib.compress((STATIC / "explorer.js").read_bytes(), 9)).decode(),
+    )
+
+
+def fragment(document: str, picture: bytes, alt: str) -> str:
+    """``document`` over a PNG ``picture``, for a notebook's output.
+
+    Where scripts may not run, or where the frame is taken out (a notebook that is not trusted), the picture is seen.
+    """
+    return FRAGMENT.format(picture=base64.b64encode(picture).decode(), alt=html.escape(alt), page=html.escape(document))
