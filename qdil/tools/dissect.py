@@ -9,6 +9,7 @@ import pandas as pd
 
 from qdil import ppga
 from qdil.config import Config
+from qdil.imitation import demos
 from qdil.search import networks
 from qdil.search.evaluate import Policies
 from qdil.search.xnes import XNES
@@ -53,6 +54,18 @@ def try_out(search: ppga.Search, theta: jax.Array, seed: int) -> Trials:
 def search_policy(search: ppga.Search) -> jax.Array:
     """θ_μ (P,)."""
     return networks.flatten(search.state.learner.policy)
+
+
+def episode(search: ppga.Search, seed: int) -> dict[str, np.ndarray]:
+    """One whole episode of θ_μ, a row per step, in a demonstrations file's columns (see ``demos.record``)."""
+    config, parts, stats = search.config, search.compiled.parts, search.state.stats
+    theta = search_policy(search)
+    one = {
+        "solution": np.asarray(theta)[None],
+        "obs_mean": np.asarray(stats.mean)[None],
+        "obs_std": np.asarray(stats.std)[None],
+    }
+    return demos.record(parts.env, parts.like, one, jax.random.key(seed), config.episode_length, config.sample_actions)
 
 
 def distribution(xnes: XNES) -> tuple[np.ndarray, np.ndarray]:
