@@ -3,6 +3,7 @@
 import numpy as np
 
 from qdil import run
+from qdil.config import make_config
 from qdil.evidence import demonstrations
 from qdil.files import write_npz
 
@@ -26,6 +27,26 @@ def test_only_robots_with_a_file_are_read(tmp_path):
     write_npz(run.demos_path("laptop", "humanoid", 2, tmp_path), **recorded())  # not the budget's usual number
     found = demonstrations.of_robots("laptop", tmp_path)
     assert list(found) == ["walker2d"] and found["walker2d"]["obs"].shape == (8, 17)
+
+
+def test_what_is_there_is_not_recorded_again(tmp_path):
+    path = run.demos_path("smoke", "walker2d", 1, tmp_path)
+    assert demonstrations.record_missing("walker2d", "smoke", tmp_path).startswith(
+        "none recorded: there is no finished"
+    )
+    write_npz(path, **recorded())
+    before = path.read_bytes()
+    assert demonstrations.record_missing("walker2d", "smoke", tmp_path).startswith("loaded")
+    assert path.read_bytes() == before
+
+
+def test_an_expert_without_policies_gives_no_demonstrations(tmp_path):
+    folder = run.folder_of(make_config("walker2d", "true", "smoke"), tmp_path)
+    folder.mkdir(parents=True)
+    for name in ("config.json", "manifest.json"):
+        (folder / name).write_text("{}")
+    write_npz(folder / "archive.npz", index=np.zeros(0))
+    assert "has no policies.npz" in demonstrations.record_missing("walker2d", "smoke", tmp_path)
 
 
 def test_a_row_per_episode_with_the_archives_word_beside():

@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 
 from qdil import run
-from qdil.config import ROBOTS, make_config
+from qdil.config import ROBOTS, ConfigError, make_config
+from qdil.evidence.experiments import EXPERT_SEED
 from qdil.robots.brax_robots import ROBOTS as FEET_OF
 
 Demos = dict[str, np.ndarray]  # a demonstrations file's columns, a row per step, and what it says per episode
@@ -19,6 +20,19 @@ def of_robots(budget: str, root: Path = run.RESULTS) -> dict[str, Demos]:
         env: run.demos_path(budget, env, make_config(env, "true", budget).demo_episodes, root) for env in sorted(ROBOTS)
     }
     return {env: read(path) for env, path in paths.items() if path.is_file()}
+
+
+def record_missing(env: str, budget: str, root: Path = run.RESULTS) -> str:
+    """Record a robot's demonstrations if there are none and its expert's policies are here; what happened, in words."""
+    expert = make_config(env, "true", budget, EXPERT_SEED)
+    path, folder = run.demos_path(budget, env, expert.demo_episodes, root), run.folder_of(expert, root)
+    if path.is_file():
+        return f"loaded, they were recorded earlier: {path}"
+    try:
+        run.make_demos(env, budget, expert.demo_episodes, EXPERT_SEED, folder, path)
+    except ConfigError as error:
+        return f"none recorded: {error}"
+    return f"recorded just now: {path}"
 
 
 def read(path: Path) -> Demos:
