@@ -57,10 +57,21 @@ def _parser() -> argparse.ArgumentParser:
     figures = commands.add_parser(
         "figures",
         help="draw the finished runs of a robot",
-        description="Write learning curves and archives of finished runs to results/figures as PNG.",
+        description="Write curves, archives and bars of finished runs to results/figures, as PNG and PDF, and a table.",
     )
     figures.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
-    _budget_and_seed(figures)
+    figures.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
+    figures.add_argument("--seed", type=int, action="append", help="repeatable (default: every finished seed)")
+
+    claims = commands.add_parser(
+        "claims",
+        help="judge the paper's claims from finished runs",
+        description="Print a verdict for every claim and robot, and write the page with all numbers: results/claims.md "
+        "(laptop), results/BUDGET/claims.md (other budgets). Trains nothing; takes seconds.",
+    )
+    claims.add_argument("--env", help="judge this robot alone, and write no page")
+    claims.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
+    claims.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="default: results")
 
     verify = commands.add_parser(
         "verify",
@@ -149,6 +160,16 @@ def _figures(args: argparse.Namespace) -> int:
     return 0
 
 
+def _claims(args: argparse.Namespace) -> int:
+    from qdil.evidence import claims
+
+    verdicts = claims.judge(args.results, args.budget, [args.env] if args.env else None)
+    print(claims.plain(verdicts))
+    if not args.env:
+        print(f"\nWrote {claims.write(verdicts, args.budget, args.results)}.")
+    return 0
+
+
 def _verify(args: argparse.Namespace) -> int:
     from qdil.tools import verify
 
@@ -211,6 +232,7 @@ COMMANDS = {
     "train": _train,
     "demos": _demos,
     "figures": _figures,
+    "claims": _claims,
     "verify": _verify,
     "bench": _bench,
     "study": _study,

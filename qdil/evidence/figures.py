@@ -1,63 +1,90 @@
 """Figures and a table of finished runs, computed from their folders and written under ``results/figures``."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
+from matplotlib.figure import Figure
 
 from qdil import plotting, run
 from qdil.config import ConfigError, make_config
+from qdil.evidence import tables
+from qdil.evidence.experiments import finished
+from qdil.evidence.studies import STUDIES, experiments_of
+from qdil.evidence.tables import Runs
 from qdil.files import replace_file
 from qdil.registry import method_names
 
 
-def finished_runs(env: str, budget: str, seed: int, root: Path) -> dict[str, Path]:
-    """Folders of the finished runs of one robot, budget and seed, by method."""
-    folders = {name: root / budget / env / name / f"seed-{seed}" for name in method_names()}
-    return {name: folder for name, folder in folders.items() if run.is_finished(folder)}
+def finished_runs(
+    env: str, budget: str, root: Path = run.RESULTS, seeds: Sequence[int] | None = None
+) -> dict[str, list[Path]]:
+    """Folders of one robot's finished runs (of ``seeds``, or of all) by experiment: methods first, then settings."""
+    names = dict.fromkeys((*method_names(), *experiments_of(STUDIES, budget)))
+    if seeds is None:
+        return tables.finished_seeds(names, env, budget, root)
+    return finished(names, env, budget, seeds, root)
 
 
-def summary_table(folders: dict[str, Path]) -> str:
-    """The final metrics of runs by method as a Markdown table, each number read from the run's own files.
+def of_study(runs: Runs, study: str) -> dict[str, Sequence[Path]]:
+    """Those of ``runs`` that a study compares, in its order."""
+    return {name: runs[name] for name in STUDIES[study] if name in runs}
 
-    "scored again" is the elites' average true return over fresh episodes, free of the luck that won them their cells.
+
+def summary_table(runs: Runs) -> str:
+    """The final metrics of runs as a Markdown table, each number read from the runs' own files.
+
+    Of several seeds "mean ± standard deviation", with a column that counts them; of one the number alone. "scored
+    again" is the elites' average true return over fresh episodes, free of the luck that won them their cells.
     """
-    columns = ["method", "QD-score", "coverage", "best", "average", "average, scored again", "million steps", "minutes"]
-    lines = ["| " + " | ".join(columns) + " |", "| " + " | ".join(["---"] + ["---:"] * (len(columns) - 1)) + " |"]
-    for method, folder in folders.items():
-        last = pd.read_csv(folder / "metrics.csv").iloc[-1]
-        again = float(run.read_archive(folder)["rescored_return"].mean())
-        numbers = [
-            f"{last['qd_score']:,.0f}",
-            f"{last['coverage']:.1%}",
-            f"{last['best']:.0f}",
-            f"{last['average']:.0f}",
-            f"{again:.0f}",
-            f"{last['env_steps'] / 1e6:.1f}",
-            f"{last['wall_seconds'] / 60:.1f}",
-        ]
-        lines.append("| " + " | ".join([f"`{method}`", *numbers]) + " |")
+    shown = tables.summary(runs)
+    if all(len(folders) == 1 for folders in runs.values()):
+        shown = shown.drop(columns="seeds")
+    columns = ["method", *shown.columns]
+    lines = ["| " + " | ".join(columns) + " |", "| " + " | ".join(["---"] + ["---:"] * len(shown.columns)) + " |"]
+    lines += ["| " + " | ".join([f"`{row[0]}`", *row[1:]]) + " |" for row in shown.itertuples(name=None)]
     return "\n".join(lines) + "\n"
 
 
-def write_figures(env: str, budget: str, seed: int, root: Path = run.RESULTS) -> list[Path]:
-    """Learning curves by iteration, steps and time, all archives on one scale, a table; returns the files written.
+def draw(runs: Runs, env: str) -> dict[str, Figure]:
+    """Every figure of one robot's runs, by name: the main experiment's in full, and what each other study compares.
 
-    Raises ConfigError where there is no finished run to draw.
+    Where the main experiment has no runs, all runs stand in its figures. Archives are those of the first seed.
     """
-    make_config(env, "true", budget, seed)
-    folders = finished_runs(env, budget, seed, root)
-    if not folders:
-        raise ConfigError(f"no finished runs of {env} at budget {budget} with seed {seed} in {root}.")
-    metrics = {method: pd.read_csv(folder / "metrics.csv") for method, folder in folders.items()}
-    archives = {method: run.read_archive(folder) for method, folder in folders.items()}
+    main = of_study(runs, "main") or runs
+    metrics = tables.read_metrics(main)
     figures = {f"curves-{x}": plotting.learning_curves(metrics, x) for x in plotting.X_LABELS}
-    figures["archives"] = plotting.archives_side_by_side(archives, robot=env)
-    written = []
-    for name, figure in figures.items():
-        path = root / "figures" / f"{budget}-{env}-{name}.png"
-        content = plotting.to_png(figure)
+    first = {name: run.read_archive(folders[0]) for name, folders in main.items()}
+    figures["archives"] = plotting.archives_side_by_side(first, robot=env)
+    for study in STUDIES:
+        mine = of_study(runs, study)
+        if study != "main" and set(mine) - set(main):
+            figures[f"{study}-curves"] = plotting.learning_curves(tables.read_metrics(mine))
+            figures[f"{study}-bars"] = plotting.bars(tables.final(mine))
+            if study == "p-and-q":
+                figures[f"{study}-grid"] = plotting.grid(tables.final(mine))
+    return figures
+
+
+def write_figures(env: str, budget: str, seeds: Sequence[int] | None = None, root: Path = run.RESULTS) -> list[Path]:
+    """Draw the finished runs of ``seeds`` (None: of all), each figure as PNG and PDF, and two tables.
+
+    Returns the files written. Raises ConfigError where there is no finished run to draw.
+    """
+    for seed in seeds or (1,):
+        make_config(env, "true", budget, seed)
+    runs = finished_runs(env, budget, root, seeds)
+    if not runs:
+        of = f" with seed {', '.join(map(str, seeds))}" if seeds else ""
+        raise ConfigError(f"no finished runs of {env} at budget {budget}{of} in {root}.")
+    base = root / "figures" / f"{budget}-{env}"
+    written = [
+        path
+        for name, figure in draw(runs, env).items()
+        for path in plotting.save(figure, base.with_name(f"{base.name}-{name}"))
+    ]
+    tables_of = {"summary": of_study(runs, "main") or runs, "all-runs": runs}
+    for name, mine in tables_of.items():
+        path, content = base.with_name(f"{base.name}-{name}.md"), summary_table(mine).encode()
         replace_file(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
         written.append(path)
-    table = root / "figures" / f"{budget}-{env}-summary.md"
-    replace_file(table, lambda file: file.write(summary_table(folders).encode()))
-    return [*written, table]
+    return written

@@ -4,13 +4,14 @@ Everywhere here ``runs`` are folders of finished runs by experiment, one folder 
 and the notebooks' ``page.runs`` give them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 
 from qdil import run
-from qdil.evidence import paper
+from qdil.evidence import paper, stats
+from qdil.evidence.experiments import finished
 
 Runs = Mapping[str, Sequence[Path]]
 
@@ -23,6 +24,21 @@ COLUMNS = {
     "million_steps": "million steps",
     "minutes": "minutes",
 }
+# What a number is multiplied by, its format and its unit; all others are whole numbers.
+FORMS = {
+    "qd_score": (1, ",.0f", ""),
+    "coverage": (100, ".1f", "%"),
+    "million_steps": (1, ".1f", ""),
+    "minutes": (1, ".1f", ""),
+}
+
+
+def finished_seeds(names: Iterable[str], env: str, budget: str, root: Path = run.RESULTS) -> dict[str, list[Path]]:
+    """``experiments.finished`` with every seed that any run there has, and not the budget's own alone."""
+    names = tuple(names)
+    found = {path.name for name in names for path in (root / budget / env / name).glob("seed-*")}
+    seeds = sorted(int(name.removeprefix("seed-")) for name in found if name.removeprefix("seed-").isdigit())
+    return finished(names, env, budget, seeds, root)
 
 
 def read_metrics(runs: Runs) -> dict[str, list[pd.DataFrame]]:
@@ -37,12 +53,13 @@ def final(runs: Runs) -> pd.DataFrame:
     share of the cells, ``rescored_average`` (the elites over fresh episodes, free of the luck that won them their
     cells), ``million_steps`` and ``minutes``.
     """
-    rows = {(name, _seed(folder)): _last(folder) for name, folders in runs.items() for folder in folders}
+    rows = {(name, seed_of(folder)): _last(folder) for name, folders in runs.items() for folder in folders}
     index = pd.MultiIndex.from_tuples(list(rows), names=["experiment", "seed"])
     return pd.DataFrame(list(rows.values()), index=index, columns=list(COLUMNS))
 
 
-def _seed(folder: Path) -> int:
+def seed_of(folder: Path) -> int:
+    """The seed that a run's folder is called after."""
     return int(folder.name.removeprefix("seed-"))
 
 
@@ -58,11 +75,9 @@ def _last(folder: Path) -> dict[str, float]:
 
 def text(metric: str, value: float, spread: float | None = None) -> str:
     """A number as tables show it, "mean ± standard deviation" where there is a spread."""
-    scale, digits, unit = {"coverage": (100, 1, "%"), "million_steps": (1, 1, ""), "minutes": (1, 1, "")}.get(
-        metric, (1, 0, "")
-    )
-    shown = f"{scale * value:,.{digits}f}"
-    return f"{shown}{unit}" if spread is None else f"{shown} ± {scale * spread:,.{digits}f}{unit}"
+    scale, form, unit = FORMS.get(metric, (1, ".0f", ""))
+    shown = format(scale * value, form)
+    return f"{shown}{unit}" if spread is None else f"{shown} ± {format(scale * spread, form)}{unit}"
 
 
 def summary(runs: Runs) -> pd.DataFrame:
@@ -107,3 +122,22 @@ def paper_value(env: str, experiment: str, metric: str, origin: str = paper.PAPE
     if len(demos) < len(settings):
         return None
     return paper.value(env, method, metric, int(demos[0]) if demos else 4, origin)
+
+
+def share_of_expert(runs: Mapping[str, Runs], metric: str = "qd_score") -> pd.DataFrame:
+    """A metric as a share of the expert's, over robots: a row per experiment with its interquartile mean.
+
+    ``runs`` by robot; each run is divided by the mean of the same robot's ``true`` runs, and robots without any are
+    left out. ``low`` and ``high`` bound the 95 % bootstrap interval, resampled within each robot. Columns also
+    ``robots`` and ``seeds``, how many there are of each.
+    """
+    numbers = {env: final(mine)[metric] for env, mine in runs.items() if "true" in mine}
+    shares = {env: values / values.xs("true", level="experiment").mean() for env, values in numbers.items()}
+    rows = {}
+    for name in dict.fromkeys(name for values in shares.values() for name in values.index.get_level_values(0)):
+        strata = [
+            v.xs(name, level="experiment").to_list() for v in shares.values() if name in v.index.get_level_values(0)
+        ]
+        rows[name] = {"robots": len(strata), "seeds": sum(map(len, strata)), **stats.stratified(strata)._asdict()}
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=["robots", "seeds", *stats.Interval._fields])
+    return table.rename(columns={"estimate": "share"}).rename_axis("experiment")

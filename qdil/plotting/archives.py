@@ -16,6 +16,7 @@ from qdil.imitation.demos import top_fifth
 from qdil.plotting.style import BLUE, EMPTY, FIELD_LABELS, GREEN, RED, label, label_measures
 
 MOST_IN_A_ROW = 4  # heatmaps beside each other
+MOST_DRAWN_ONE_BY_ONE = 30  # cells per measure, beyond which a PDF holds them as one picture and stays small
 
 
 def heatmap(
@@ -45,9 +46,11 @@ def heatmap(
     rows = pd.DataFrame({"index": archive["index"], **values})
     colours = colormaps["viridis"].with_extremes(bad=EMPTY)
     edges = {"edgecolor": "white", "linewidth": min(0.5, 6 / max(dims))}
+    one_picture = max(dims) > MOST_DRAWN_ONE_BY_ONE
     grid_archive_heatmap(
-        grid, ax, df=rows, cmap=colours, aspect="equal", vmin=vmin, vmax=vmax, cbar=None, pcm_kwargs=edges
-    )
+        grid, ax, df=rows, cmap=colours, aspect="equal", vmin=vmin, vmax=vmax, cbar=None, rasterized=one_picture,
+        pcm_kwargs=edges,
+    )  # fmt: skip
     label_measures(ax, robot)
     mesh = ax.collections[-1]
     assert isinstance(mesh, QuadMesh)

@@ -31,6 +31,7 @@ FIELD_LABELS = {
     "rescored_return": "true return, scored again (reward units)",
     "rescored_fitness": "learned fitness, scored again (reward units)",
 }
+RESOLUTION = {"png": "figure", "pdf": 200}  # dots per inch; in a PDF of what is no line or letter
 SETTING_LABELS = {"bonus_p": "p", "bonus_q": "q"}
 
 
@@ -83,7 +84,9 @@ def save(figure: Figure, path: Path) -> list[Path]:
     written = []
     for kind, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
         buffer = io.BytesIO()
-        figure.savefig(buffer, format=kind, metadata=metadata)  # no dates: equal runs give equal files
+        figure.savefig(
+            buffer, format=kind, metadata=metadata, dpi=RESOLUTION[kind]
+        )  # no dates: equal runs give equal files
         target = path.with_name(f"{path.name}.{kind}")
         replace_file(target, lambda file, buffer=buffer: file.write(buffer.getvalue()))  # type: ignore[misc]
         written.append(target)

@@ -1,0 +1,78 @@
+"""What stands behind a comparison: which runs, made by which commits, and what sets some of them apart from others."""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from qdil import run
+from qdil.config import to_json
+from qdil.evidence import tables
+from qdil.evidence.studies import config_of
+
+SPEED_ALONE = ("eval_chunk", "eval_tile", "devices")  # settings that change how fast a run is, and not what it finds
+
+
+class Origin(NamedTuple):
+    """Where one run is from."""
+
+    experiment: str
+    seed: int
+    commit: str  # its first seven digits, and whether the tree differed from it
+    other_settings: tuple[str, ...]  # that would be different if it were trained today
+    demonstrations: tuple[int, str] | None  # how many, and the hash of their file
+
+
+def origin(experiment: str, folder: Path, env: str, budget: str) -> Origin:
+    """Read a run's manifest and settings. Settings that it knows nothing of are left out."""
+    seed = tables.seed_of(folder)
+    manifest: dict[str, Any] = json.loads((folder / "manifest.json").read_text())
+    config, was = config_of(experiment, env, budget, seed), run.read_config(folder)
+    today = to_json(config)
+    other = (name for name in was if name in today and was[name] != today[name] and name not in SPEED_ALONE)
+    commit, *changed = str(manifest.get("commit", "unknown")).split(" ", 1)
+    shown = manifest.get("demonstrations_sha256")
+    return Origin(
+        experiment,
+        seed,
+        " ".join([commit[:7], *changed]),
+        tuple(other),
+        (config.demo_episodes, shown) if shown else None,
+    )
+
+
+def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root: Path = run.RESULTS) -> str:
+    """A list in Markdown, an item per robot that has runs: seeds, commits, and what is not the same for all."""
+    lines = []
+    for env in envs:
+        runs = tables.finished_seeds(experiments, env, budget, root)
+        origins = [origin(name, folder, env, budget) for name, folders in runs.items() for folder in folders]
+        if origins:
+            lines.append(f"* **{env}**: " + " ".join([*_counts(origins), *_apart(origins)]))
+    return "\n".join(lines) or "None."
+
+
+def _counts(origins: Sequence[Origin]) -> list[str]:
+    seeds: dict[str, list[str]] = {}
+    for run_ in origins:
+        seeds.setdefault(run_.experiment, []).append(str(run_.seed))
+    commits = Counter(run_.commit for run_ in origins)
+    return [
+        "Seeds " + "; ".join(f"{', '.join(numbers)} of `{name}`" for name, numbers in seeds.items()) + ".",
+        "Made at " + ", ".join(f"{commit} ({count})" for commit, count in commits.items()) + ".",
+    ]
+
+
+def _apart(origins: Sequence[Origin]) -> list[str]:
+    """A sentence for everything that makes runs hard to compare."""
+    said = []
+    settings = sorted({name for run_ in origins for name in run_.other_settings})
+    for name in settings:
+        whose = [f"`{run_.experiment}` {run_.seed}" for run_ in origins if name in run_.other_settings]
+        said.append(f"**{name} was not today's** in {', '.join(whose)}.")
+    files = {run_.demonstrations for run_ in origins if run_.demonstrations}
+    for number, count in Counter(number for number, _ in files).items():
+        if count > 1:
+            said.append(f"**These runs learned from {count} different files of {number} demonstrations.**")
+    return said

@@ -1,0 +1,53 @@
+"""Numbers that claims are judged by, each read from one finished run's own files."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from qdil import run
+from qdil.evidence import tables
+
+
+def c0_rise(metrics: pd.DataFrame) -> float:
+    """How far |c_0| of the xNES mean moves in an iteration that finds new cells, on average (Appendix G).
+
+    |c_0| is what multiplies the fitness gradient. Only iterations after which more cells are filled than before count,
+    and none that begins with xNES restarted, where c_0 comes from 0 and can do nothing but rise. Not-a-number where
+    there are none.
+    """
+    restarted = metrics["restarts"].diff().fillna(metrics["restarts"]) > 0  # after its c_0 was written down
+    began_afresh = restarted.shift(1, fill_value=False)
+    counted = (metrics["coverage"].diff() > 0) & ~began_afresh
+    return float(metrics["c0"].abs().diff()[counted].mean())
+
+
+def roughness(archive: Mapping[str, Any], field: str = "true_return") -> float:
+    """How much a cell differs from the next: the mean |difference| of neighbours over the mean |value| (Fig. 6).
+
+    Neighbours are filled cells that share an edge. Not-a-number where no two do, or all values are 0.
+    """
+    grid = np.full([int(cells) for cells in archive["cells"]], np.nan)
+    grid.flat[np.asarray(archive["index"])] = archive[field]
+    steps = np.concatenate([np.abs(np.diff(grid, axis=axis)).ravel() for axis in range(grid.ndim)])
+    steps, scale = steps[np.isfinite(steps)], float(np.mean(np.abs(archive[field]))) if len(archive["index"]) else 0.0
+    return float(steps.mean()) / scale if len(steps) and scale > 0 else float("nan")
+
+
+def _final(name: str) -> Callable[[Path], float]:
+    return lambda folder: float(pd.read_csv(folder / "metrics.csv")[name].iloc[-1])
+
+
+READINGS: dict[str, Callable[[Path], float]] = {
+    **{name: _final(name) for name in ("qd_score", "coverage", "best", "average")},
+    "c0_rise": lambda folder: c0_rise(pd.read_csv(folder / "metrics.csv")),
+    "roughness": lambda folder: roughness(run.read_archive(folder)),
+}
+NAMES = {
+    **tables.COLUMNS,
+    "c0_rise": "rise of |c₀| in an iteration that finds cells",
+    "roughness": "difference between neighbouring cells, as a share of the mean return",
+    "probability": "change of P(m ∈ A_e)",
+}

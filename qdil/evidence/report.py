@@ -1,0 +1,213 @@
+"""Verdicts as tables: one to show, one to print, and the page ``claims.md``."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from qdil import run
+from qdil.config import ROBOTS
+from qdil.evidence import paper, provenance, stats, tables
+from qdil.evidence.readings import NAMES
+from qdil.evidence.studies import STUDIES
+from qdil.evidence.verdicts import KINDS, NO_RUNS, Finding, Part, Verdict
+from qdil.files import replace_file
+from qdil.plotting.style import label
+
+HOW_TO_READ = """\
+*Reproduced*: the 95 % stratified bootstrap interval over seeds says so. *Not reproduced*: it says the opposite.
+*Inconclusive*: it holds both, or an arm has fewer than two seeds. *No runs*: an experiment that the claim compares has
+none. A claim with several comparisons needs all of them. Questions of our own (Q) are answered with yes and no.
+`docs/claims.md` says how far intervals over few seeds can be trusted."""
+SCALE = {
+    "smoke": "Nothing has been learned at this budget: it tests that every line runs, and its verdicts mean nothing.",
+    "laptop": "Ours and the paper's numbers differ in scale (cells, episodes, training): compare order, not size.",
+    "full": "Ours and the paper's numbers are of the same scale.",
+}
+BEYOND = "†"  # marks a robot of which the paper does not claim it
+NO_NUMBER = "no number"  # of what the paper shows or says without one
+QUESTION = {"reproduced": "yes", "not reproduced": "no"}  # the words of verdicts on questions of our own
+
+
+def words(verdict: Verdict, said: str | None = None) -> str:
+    """A verdict in words; questions of our own are answered with yes or no."""
+    said = verdict.verdict if said is None else said
+    return QUESTION.get(said, said) if verdict.claim.where == "ours" else said
+
+
+def overview(verdicts: Sequence[Verdict]) -> pd.DataFrame:
+    """A row per claim, a column per robot (and the small problem of Lemma 1): the verdict alone."""
+    envs = sorted({v.env for v in verdicts}, key=lambda env: [*ROBOTS, env].index(env))
+    rows: dict[str, dict[str, str]] = {}
+    for v in verdicts:
+        row = rows.setdefault(v.claim.id, {"claim": v.claim.sentence, "where": v.claim.where} | dict.fromkeys(envs, ""))
+        row[v.env] = words(v) + (f" {BEYOND}" if v.beyond else "")
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["claim", "where", *envs]).rename_axis("id")
+
+
+def table(verdicts: Sequence[Verdict], all_rows: bool = False) -> pd.DataFrame:
+    """A row per comparison: the paper's numbers, ours, the difference with its interval, the seeds and the verdict.
+
+    What cannot be compared for want of runs has no row, unless ``all_rows``.
+    """
+    rows = [
+        {
+            "id": v.claim.id,
+            "robot": v.env + (f" {BEYOND}" if v.beyond else ""),
+            "comparison": comparison(finding.part),
+            "paper": of_paper(v.env, finding.part, v.claim.where == "ours"),
+            "ours": _numbers(finding.part.reading, finding.means),
+            "difference [95 % interval]": _difference(finding),
+            "seeds": _seeds(finding.seeds),
+            "verdict": words(v, finding.verdict),
+        }
+        for v in verdicts
+        for finding in v.findings
+        if all_rows or finding.verdict != NO_RUNS
+    ]
+    columns = ["id", "robot", "comparison", "paper", "ours", "difference [95 % interval]", "seeds", "verdict"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _seeds(counts: Sequence[int]) -> str:
+    """Runs of ours and of the reference, or of the references from fewest to most."""
+    others = [str(count) for count in dict.fromkeys((min(counts[1:]), max(counts[1:])))] if counts[1:] else []
+    return " / ".join([str(counts[0]), *([" to ".join(others)] if others else [])])
+
+
+def comparison(part: Part) -> str:
+    """What is compared, in words."""
+    name, kind = NAMES[part.reading], KINDS[part.kind].words
+    if part.kind == "not below" and part.number:
+        kind += f" ({part.number:.0%} margin)"
+    if not part.against:
+        against = _number(part.reading, part.number)
+    elif len(part.against) == 1:
+        against = label(part.against[0])
+    else:
+        against = f"{len(part.against)} others"
+    return f"{name}: {label(part.ours)} {kind} {against}"
+
+
+def of_paper(env: str, part: Part, ours: bool = False) -> str:
+    """The paper's numbers of a comparison, "not recoverable" where lost, with the later version's where it has all."""
+    if ours or part.reading not in paper.METRICS:
+        return "–" if ours else NO_NUMBER
+    names = (part.ours, *part.against) if len(part.against) < 2 else (part.ours,)
+    numbers = [tables.paper_value(env, name, part.reading) for name in names]
+    known = [number is not None for number in numbers]
+    later = [tables.paper_value(env, name, part.reading, paper.LATER) for name in names]
+    text = _numbers(part.reading, [np.nan if n is None else n for n in numbers], paper.NOT_RECOVERABLE)
+    if not any(known):
+        text = paper.NOT_RECOVERABLE
+    if not all(known) and all(number is not None for number in later):
+        text += f" (later version: {_numbers(part.reading, [float(n) for n in later if n is not None])})"
+    return text
+
+
+def _number(reading: str, value: float) -> str:
+    if not np.isfinite(value):
+        return "none"
+    return tables.text(reading, value) if reading in tables.COLUMNS else f"{value:.3g}"
+
+
+def _numbers(reading: str, values: Sequence[float], missing: str = "none") -> str:
+    """Ours against the reference, the best of several references alone."""
+    shown = [values[0], np.nanmax([-np.inf, *values[1:]])] if len(values) > 1 else [values[0]]
+    return " against ".join(_number(reading, value) if np.isfinite(value) else missing for value in shown)
+
+
+def _difference(finding: Finding) -> str:
+    reading, (estimate, low, high) = finding.part.reading, finding.difference
+    if not np.isfinite(estimate):
+        return "none"
+    reference = finding.means[0] - estimate
+    share = f" ({_signed('coverage', estimate / abs(reference))})" if finding.part.against and reference else ""
+    if not finding.difference.known():
+        return f"{_signed(reading, estimate)}{share}, fewer than {stats.FEWEST} seeds in an arm"
+    return f"{_signed(reading, estimate)}{share} [{_signed(reading, low)}, {_signed(reading, high)}]"
+
+
+def _signed(reading: str, value: float) -> str:
+    return ("+" if value >= 0 else "−") + _number(reading, abs(value))
+
+
+def markdown_table(frame: pd.DataFrame) -> str:
+    """A table of texts in Markdown, its columns padded, so that it also reads as plain text."""
+    cells = [list(map(str, frame.columns)), *(list(map(str, row)) for row in frame.itertuples(index=False))]
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in cells]
+    widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(frame.columns))]
+    lines = [
+        "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in cells
+    ]
+    return "\n".join([lines[0], "| " + " | ".join("-" * width for width in widths) + " |", *lines[1:]])
+
+
+def plain(verdicts: Sequence[Verdict]) -> str:
+    """Verdicts for a terminal: a line per claim, then what is behind those that have runs."""
+    short = overview(verdicts).drop(columns="where").reset_index()
+    short = short[[name for name in short if name != "claim"] + ["claim"]]
+    rows = table(verdicts).to_dict("records")
+    lines = [
+        f"{row['id']} {row['robot']}: {row['comparison']}: {row['verdict']}\n"
+        f"    ours {row['ours']}; difference {row['difference [95 % interval]']}; seeds {row['seeds']}\n"
+        f"    paper {row['paper']}"
+        for row in rows
+    ]
+    note = f"{BEYOND} The paper does not claim it of this robot."
+    return "\n".join([markdown_table(short), note, "", *(lines or ["There are no runs to compare."])])
+
+
+def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = run.RESULTS) -> str:
+    """The page ``claims.md``: verdicts, comparisons, the runs behind them, and every claim's rule."""
+    details, claims = table(verdicts), dict.fromkeys(v.claim for v in verdicts)
+    names = dict.fromkeys(n for claim in claims for part in claim.parts for n in (part.ours, *part.against))
+    parts = [
+        f"# The paper's claims, judged from runs at the {budget} budget",
+        f"Written by `qdil claims --budget {budget}` from finished runs and nothing else.\n{HOW_TO_READ}",
+        "## Verdicts",
+        markdown_table(overview(verdicts).reset_index()),
+        f"{BEYOND} The paper does not claim it of this robot.",
+        "## Comparisons",
+        markdown_table(details) if len(details) else "There are no runs.",
+        SCALE[budget],
+        "## Over all robots",
+        over_robots(dict.fromkeys(v.env for v in verdicts), budget, root),
+        "## Runs",
+        provenance.sentences(dict.fromkeys(v.env for v in verdicts), tuple(names), budget, root),
+        "## Rules",
+        "\n".join(f"* **{claim.id}** {claim.sentence} ({claim.where}). {claim.rule}" for claim in claims),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def over_robots(envs: Iterable[str], budget: str, root: Path) -> str:
+    """QD-score as a share of the expert's, over robots and seeds, for the methods of Table 1 that have runs."""
+    runs = {env: tables.finished_seeds(STUDIES["baselines"], env, budget, root) for env in envs}
+    shares = tables.share_of_expert(runs)
+    if shares.empty:
+        return "There are no runs of an expert to compare with."
+    shown = {
+        "method": [f"`{name}`" for name in shares.index],
+        "robots": shares["robots"],
+        "seeds": shares["seeds"],
+        "QD-score, share of the expert's": [f"{share:.0%}" for share in shares["share"]],
+        "95 % interval": [
+            f"[{low:.0%}, {high:.0%}]" if low == low else "none" for low, high in shares[["low", "high"]].values
+        ],
+    }
+    explained = "Interquartile means over robots and seeds, each run divided by its robot's expert's mean."
+    return f"{explained}\n\n{markdown_table(pd.DataFrame(shown))}"
+
+
+def page_of(budget: str, root: Path = run.RESULTS) -> Path:
+    """Where a budget's verdicts are kept: the laptop's are the repository's, others lie with their own runs."""
+    return root / "claims.md" if budget == "laptop" else root / budget / "claims.md"
+
+
+def write(verdicts: Sequence[Verdict], budget: str, root: Path = run.RESULTS) -> Path:
+    """Write ``markdown`` to ``page_of`` the budget and return its path."""
+    path, content = page_of(budget, root), markdown(verdicts, budget, root).encode()
+    replace_file(path, lambda file: file.write(content))
+    return path

@@ -1,0 +1,44 @@
+"""Run folders with known numbers, for tests of everything that reads finished runs."""
+
+from pathlib import Path
+
+import numpy as np
+
+from qdil import run
+from qdil.evidence.experiments import folder_of
+from qdil.files import write_csv, write_npz
+
+COLUMNS = [*run.FIRST_COLUMNS, "c0"]
+
+
+def write_run(root: Path, env: str, experiment: str, seed: int, budget: str = "laptop", **final: float) -> Path:
+    """A finished run of three iterations that ends with the metrics ``final``; what is not given is 1.
+
+    Its archive has two filled cells of 2 × 2, side by side, with returns 10 and 30; scored again each loses 1.
+    """
+    folder = folder_of(experiment, env, budget, seed, root)
+    last = {"qd_score": 1.0, "coverage": 1.0, "best": 1.0, "average": 1.0, "learned_qd_score": 1.0} | final
+    rows = [
+        {"iteration": i, "env_steps": 1e6 * i, "wall_seconds": 60.0 * i, "restarts": 0, "c0": 1.0, **last}
+        for i in (1, 2, 3)
+    ]
+    write_csv(folder / "metrics.csv", COLUMNS, rows)
+    write_archive(folder, index=[0, 1], returns=[10.0, 30.0])
+    (folder / "config.json").write_text("{}")
+    (folder / "manifest.json").write_text("{}")
+    return folder
+
+
+def write_archive(folder: Path, index: list[int], returns: list[float]) -> None:
+    """Replace a run's archive of 2 × 2 cells."""
+    values = np.array(returns)
+    measures = (np.array([[i // 2, i % 2] for i in index]) + 0.5) / 2
+    write_npz(folder / "archive.npz", index=np.array(index), measures=measures, true_return=values, fitness=values,
+              length=values, rescored_return=values - 1, cells=np.array([2, 2]))  # fmt: skip
+
+
+def write_arms(root: Path, env: str, metric: str, arms: dict[str, list[float]], budget: str = "laptop") -> None:
+    """Runs with one metric given, by experiment: a seed per value, from 1."""
+    for experiment, values in arms.items():
+        for seed, value in enumerate(values, start=1):
+            write_run(root, env, experiment, seed, budget, **{metric: value})

@@ -1,0 +1,72 @@
+"""The paper's numbers are those of the table, of the end of runs, and never another paper's."""
+
+import csv
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from qdil.evidence import paper
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_every_number_of_the_table_is_there():
+    with (ROOT / "qdil" / "evidence" / "paper_numbers.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    numbers = paper.numbers()
+    assert len(numbers) == len(rows) and len(rows) > 100
+    assert numbers["value"].to_list() == [float(row["value"]) for row in rows]
+
+
+def test_what_is_returned_can_be_changed_without_harm():
+    mine = paper.numbers()
+    mine["value"] = 0.0
+    assert paper.value("walker2d", "gail", "best") == 4031
+
+
+@pytest.mark.parametrize(
+    "args, expected",
+    [
+        (("walker2d", "mconbo-gail", "qd_score"), 4116000),
+        (("walker2d", "mconbo-gail", "qd_score", 2), 3927000),
+        (("walker2d", "gail", "coverage"), 0.6929),
+        (("walker2d", "true", "qd_score"), 3641854),  # at iteration 2000, not 100 to 1500
+        (("humanoid", "true", "best", 1), 9691),  # the expert has no demonstrations
+        (("humanoid", "mbo-true", "average"), (5473 + 5127) / 2),  # two seeds
+    ],
+)
+def test_values_are_those_of_the_end_of_the_papers_runs(args, expected):
+    assert paper.value(*args) == pytest.approx(expected)
+
+
+def test_a_later_number_never_stands_in_for_the_papers():
+    assert paper.value("humanoid", "gail", "qd_score") is None
+    assert paper.value("humanoid", "gail", "qd_score", origin=paper.LATER) == 1860000
+    assert paper.value("humanoid", "mconbo-gail", "qd_score", origin=paper.LATER) == 5310000
+    assert paper.value("walker2d", "true", "qd_score", origin=paper.LATER) is None
+
+
+def test_spreads_say_what_they_are():
+    assert paper.spread("walker2d", "gail", "coverage") == "± 2.59 % (standard error, 3 seeds)"
+    assert paper.spread("walker2d", "true", "coverage") is None
+
+
+def test_the_experts_progress_ends_where_its_run_does():
+    progress = paper.expert_progress("halfcheetah")
+    assert list(progress.index) == [100, 500, 1000, 1500, 2000]
+    assert progress[2000] == paper.value("halfcheetah", "true", "qd_score")
+    assert progress.is_monotonic_increasing
+
+
+@pytest.mark.parametrize("metric, origin", [("speed", paper.PAPER), ("best", "rumour")])
+def test_what_the_table_cannot_have_is_refused(metric, origin):
+    with pytest.raises(ValueError, match=metric if metric == "speed" else origin):
+        paper.value("walker2d", "gail", metric, origin=origin)
+
+
+def test_the_table_is_installed_with_the_package():
+    assert files("qdil.evidence").joinpath("paper_numbers.csv").is_file()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "*.csv" in project["tool"]["setuptools"]["package-data"]["qdil.evidence"]

@@ -1,0 +1,67 @@
+"""Tables against numbers worked out by hand from fake runs."""
+
+import numpy as np
+import pytest
+from fake_runs import write_arms, write_run
+
+from qdil.evidence import tables
+
+
+def runs_of(root, names, env="walker2d"):
+    return tables.finished_seeds(names, env, "laptop", root)
+
+
+def test_final_metrics_are_the_runs_last_row_and_their_archive(tmp_path):
+    write_run(tmp_path, "walker2d", "gail", 3, qd_score=40.0, coverage=0.5, best=30.0, average=20.0)
+    final = tables.final(runs_of(tmp_path, ["gail"]))
+    assert final.index.to_list() == [("gail", 3)]
+    assert final.loc[("gail", 3)].to_dict() == {
+        "qd_score": 40.0, "coverage": 0.5, "best": 30.0, "average": 20.0, "rescored_average": 19.0,
+        "million_steps": 3.0, "minutes": 3.0,
+    }  # fmt: skip
+
+
+def test_every_finished_seed_counts_and_no_unfinished_one(tmp_path):
+    for seed in (1, 2, 7):
+        write_run(tmp_path, "walker2d", "gail", seed)
+    (tmp_path / "laptop" / "walker2d" / "gail" / "seed-2" / "manifest.json").unlink()
+    (tmp_path / "laptop" / "walker2d" / "gail" / "seed-old").mkdir()
+    assert [path.name for path in runs_of(tmp_path, ["gail", "vail"])["gail"]] == ["seed-1", "seed-7"]
+    assert set(tables.read_metrics(runs_of(tmp_path, ["gail"]))) == {"gail"}
+
+
+def test_summaries_give_mean_and_standard_deviation(tmp_path):
+    write_arms(tmp_path, "walker2d", "qd_score", {"gail": [1000.0, 2000.0, 6000.0], "true": [1234.4]})
+    summary = tables.summary(runs_of(tmp_path, ["true", "gail"]))
+    spread = np.sqrt((2000.0**2 + 1000.0**2 + 3000.0**2) / 2)
+    assert summary.loc["gail", "QD-score"] == f"3,000 ± {spread:,.0f}"
+    assert summary.loc["true", "QD-score"] == "1,234" and list(summary["seeds"]) == ["1", "3"]
+    assert summary.loc["gail", "coverage"] == "100.0 ± 0.0%"
+
+
+def test_the_papers_numbers_stand_beside_ours(tmp_path):
+    write_arms(tmp_path, "walker2d", "coverage", {"gail": [0.5], "airl": [0.25], "mconbo-gail+demo_episodes=2": [0.75],
+                                                  "mconbo-gail+bonus_q=1.0": [0.8]})  # fmt: skip
+    names = ["gail", "airl", "mconbo-gail+demo_episodes=2", "mconbo-gail+bonus_q=1.0"]
+    beside = tables.beside_paper(runs_of(tmp_path, names), "walker2d")["coverage"]
+    assert beside.loc["gail"].to_dict() == {"ours": "50.0%", "paper": "69.3%"}
+    assert beside.loc["mconbo-gail+demo_episodes=2", "paper"] == "91.1%"
+    for lost in ("airl", "mconbo-gail+bonus_q=1.0"):
+        assert beside.loc[lost, "paper"] == "not recoverable"
+
+
+def test_nothing_finished_gives_empty_tables(tmp_path):
+    assert tables.final({}).empty and tables.summary({}).empty and tables.beside_paper({}, "walker2d").empty
+    assert tables.share_of_expert({}).empty and tables.share_of_expert({"walker2d": {}}).empty
+
+
+def test_shares_of_the_expert_are_taken_robot_by_robot(tmp_path):
+    write_arms(tmp_path, "walker2d", "qd_score", {"true": [90.0, 110.0], "gail": [50.0, 70.0]})
+    write_arms(tmp_path, "halfcheetah", "qd_score", {"true": [1000.0], "gail": [800.0, 900.0]})
+    write_arms(tmp_path, "humanoid", "qd_score", {"gail": [1.0]})  # no expert there: left out
+    runs = {env: runs_of(tmp_path, ["true", "gail"], env) for env in ("walker2d", "halfcheetah", "humanoid")}
+    shares = tables.share_of_expert(runs)
+    assert shares.loc["gail", "share"] == pytest.approx((0.7 + 0.8) / 2)  # of 0.5, 0.7, 0.8, 0.9 the middle half
+    assert shares.loc["gail", ["robots", "seeds"]].to_list() == [2, 4]
+    assert np.isnan(shares.loc["true", "low"])  # one seed on one of its robots
+    assert shares.loc["gail", "low"] < shares.loc["gail", "share"] < shares.loc["gail", "high"]
