@@ -17,10 +17,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from qdil import hosts
 from qdil.errors import ConfigError
 from qdil.files import replace_file
 from qdil.ppga import Search
 from qdil.search import archive
+from qdil.sharding import laid_out
 
 FOLDER = "checkpoint"
 KEPT = 2
@@ -38,8 +40,10 @@ class Progress(NamedTuple):
 
 
 def save(run_folder: Path, search: Search, progress: Progress, demos_sha256: str | None) -> None:
-    """Write a checkpoint of ``search`` after ``progress``; older ones go once it is whole."""
+    """Write a checkpoint of ``search`` after ``progress``; older ones go once it is whole. All hosts must call it."""
     leaves = [_to_numpy(leaf) for leaf in jax.tree.leaves(search.state)]
+    if not hosts.is_first():
+        return
     told = {
         "progress": progress._asdict(),
         "demos_sha256": demos_sha256,
@@ -69,9 +73,9 @@ def load(run_folder: Path, search: Search, demos_sha256: str | None) -> tuple[Se
     Raises ConfigError if it was made with other demonstrations or by another version of this program.
     """
     for path in _newest_first(run_folder):
-        content = path.read_bytes()
+        content = path.read_bytes() if path.is_file() else b""
         if hashlib.sha256(content).hexdigest() != path.stem.rsplit("-", 1)[1]:
-            path.unlink()  # damaged: it must not pass for the newest again
+            path.unlink(missing_ok=True)  # damaged: it must not pass for the newest again
             continue
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             return _restore(path, search, {name: file[name] for name in file.files}, demos_sha256)
@@ -136,11 +140,11 @@ def _is_key(leaf: Any) -> bool:
 
 
 def _to_numpy(leaf: Any) -> np.ndarray:
-    return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+    return hosts.to_host(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
 
 
 def _like(old: Any, new: np.ndarray) -> Any:
     """``new`` as an array of the kind and layout of ``old``, so that nothing has to compile again."""
     value = jax.random.wrap_key_data(jax.numpy.asarray(new)) if _is_key(old) else new.astype(old.dtype)
     # An array that was never put anywhere, such as a key just split, must stay free to go where it is needed.
-    return jax.device_put(value, old.sharding) if old.committed else jax.numpy.asarray(value)
+    return laid_out(value, old.sharding) if old.committed else jax.numpy.asarray(value)

@@ -105,10 +105,22 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("methods", help="list all methods", description="List every method with a line each.")
 
     notebooks = commands.add_parser(
-        "notebooks", help="execute the notebooks headlessly", description="Execute notebooks with papermill."
+        "notebooks",
+        help="execute the notebooks headlessly",
+        description="Execute notebooks, scheduled by Snakemake, into copies with outputs: results/notebooks/BUDGET. "
+        "Notebooks load finished runs; at smoke those that are missing are trained first, in minutes.",
     )
     notebooks.add_argument("names", nargs="*", metavar="NAME", help="notebooks, e.g. 05_mconbo_gail (default: all)")
     notebooks.add_argument("--budget", default="smoke", help=f"one of {', '.join(BUDGETS)} (default: smoke)")
+    notebooks.add_argument("--env", default="walker2d", help=f"robot: {', '.join(ROBOTS)} (default: walker2d)")
+    notebooks.add_argument("--seed", type=int, default=1, help="the notebooks' seed (default: 1)")
+    notebooks.add_argument("-j", type=int, default=2, metavar="N", help="notebooks at a time (default: 2)")
+    notebooks.add_argument(
+        "--train", action="store_true", help="train missing runs first at laptop and full, too: hours"
+    )
+    notebooks.add_argument(
+        "--timeout", type=float, default=30.0, metavar="MINUTES", help="limit for each notebook (default: 30)"
+    )
     return parser
 
 
@@ -125,10 +137,14 @@ def _train(args: argparse.Namespace) -> int:
 
         print(plan.report(config, plan.plan(config)))
         return 0
-    from qdil import checkpoint, run
+    from qdil import checkpoint, hosts, run
     from qdil.progress import Progress
 
+    hosts.join()
     folder = args.out or run.folder_of(config)
+    if not hosts.is_first():
+        run.train(config, folder, args.demos)
+        return 0
     if checkpoint.exists(folder):
         print(f"Going on with the unfinished run in {folder}.")
     progress = Progress(config)
@@ -218,11 +234,11 @@ def _methods(args: argparse.Namespace) -> int:
 
 
 def _notebooks(args: argparse.Namespace) -> int:
-    from qdil.series import execute
+    from qdil.series import schedule
 
-    if args.budget not in BUDGETS:
-        raise ConfigError(f"unknown budget '{args.budget}'; choose one of {', '.join(BUDGETS)}.")
-    failures = execute.execute_all(args.names, args.budget)
+    failures = schedule.execute_all(
+        schedule.Order(args.names, args.budget, args.env, args.seed, args.j, args.train, args.timeout)
+    )
     for failure in failures:
         print(failure, file=sys.stderr)
     return 1 if failures else 0

@@ -21,7 +21,7 @@ from qdil.registry import name_of, parse_method
 from qdil.robots import brax_robots
 from qdil.search import evaluate, vppo
 from qdil.search.evaluate import Episodes, Policies, Scores
-from qdil.sharding import AXIS, by_environment, choose_num_devices, make_mesh, replicated
+from qdil.sharding import AXIS, by_environment, choose_num_devices, laid_out, make_mesh, replicated
 from qdil.types import RewardContext
 
 # The settings that the search's programs depend on, and those that a reward's do.
@@ -138,7 +138,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
             shard(pieces.finish, (each, each), each),
         ),
         jump=jax.jit(partial(phases.jump, parts), out_shardings=whole),
-        place=lambda tree: jax.device_put(tree, split),
+        place=lambda tree: laid_out(tree, split),
     )
 
 

@@ -29,7 +29,7 @@ def write(search: Search, folder: Path, begun: dict[str, str], seconds: float, d
 
     ``start`` and ``commit`` are those of the process that finished it; ``seconds`` counts all processes' work.
     """
-    devices = jax.local_devices()[: search.compiled.num_devices]
+    devices = jax.devices()[: search.compiled.num_devices]
     write_json(
         folder / "manifest.json",
         {

@@ -8,6 +8,7 @@ import numpy as np
 
 from qdil.compiled import Compiled, compile_run
 from qdil.config import Config
+from qdil.hosts import to_host
 from qdil.imitation.bonus import is_empty
 from qdil.imitation.demos import check_fits
 from qdil.imitation.reward_model import Demonstrations
@@ -143,8 +144,7 @@ def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
     if config.bonus_in_fitness and parse_method(config.method).bonus:
         bonus = config.bonus_p + config.bonus_q * is_empty(occupied, scores.measures)
         fitness = fitness + bonus * scores.length
-    host = jax.device_get((fitness, scores.true_return, scores.measures, scores.length, scores.finite))
-    return Candidates(*jax.device_get(policies), *host)
+    return Candidates(*to_host((*policies, fitness, *scores[1:])))
 
 
 def batch_of_elites(search: Search, first: int) -> Policies:

@@ -3,13 +3,14 @@
 import json
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from qdil import checkpoint, manifest, ppga
+from qdil import checkpoint, hosts, manifest, ppga
 from qdil.checkpoint import Progress
 from qdil.config import Config, ConfigError, from_json, make_config, to_json
 from qdil.files import sha256, write_csv, write_json, write_npz
@@ -66,13 +67,16 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
         search = ppga.begin(config, demos)
     except ValueError as error:
         raise ConfigError(str(error)) from None
-    with checkpoint.locked(folder):
-        write_json(folder / "config.json", to_json(config))
-        begun = manifest.begin()
+    first, begun = hosts.is_first(), manifest.begin()
+    with checkpoint.locked(folder) if first else nullcontext():
+        if first:
+            write_json(folder / "config.json", to_json(config))
         search, seconds = _iterations(search, folder, sha256(demos_file) if demos_file else None, report)
-        _write_archive(search, folder)
-        manifest.write(search, folder, begun, seconds, demos_file)
-        checkpoint.remove(folder)
+        again = ppga.reevaluate(search, jax.random.fold_in(jax.random.key(config.seed), 1))
+        if first:
+            _write_archive(search, again, folder)
+            manifest.write(search, folder, begun, seconds, demos_file)
+            checkpoint.remove(folder)
     return True
 
 
@@ -104,6 +108,7 @@ def _iterations(
     """
     config = search.config
     search, now = checkpoint.load(folder, search, demos_sha256) or (search, Progress())
+    hosts.wait_for_all("loaded")  # before the first writes a newer checkpoint
     began, saving = time.monotonic() - now.seconds, _Saving(folder, demos_sha256)
     cells = int(search.archives.result.cells)
     while now.iteration < config.iterations:
@@ -142,18 +147,17 @@ class _Saving:
 
     def __call__(self, search: ppga.Search, now: Progress, last: bool) -> None:
         start = time.monotonic()
-        if start < self.next and not last:
+        if not hosts.agreed(start >= self.next or last):
             return
-        if now.rows:
+        if now.rows and hosts.is_first():
             write_csv(self.folder / "metrics.csv", list(dict.fromkeys(FIRST_COLUMNS + list(now.rows[-1]))), now.rows)
         checkpoint.save(self.folder, search, now, self.demos_sha256)
         took = time.monotonic() - start
         self.next = start + max(SAVE_EVERY, took / SAVE_SHARE)
 
 
-def _write_archive(search: ppga.Search, folder: Path) -> None:
+def _write_archive(search: ppga.Search, again: dict[str, np.ndarray], folder: Path) -> None:
     elites = archive.elite_arrays(search.archives)
-    again = ppga.reevaluate(search, jax.random.fold_in(jax.random.key(search.config.seed), 1))
     cells = np.asarray(search.archives.result.dims)
     write_npz(folder / "archive.npz", **{name: elites[name] for name in ARCHIVE_FIELDS}, **again, cells=cells)
     write_npz(folder / "policies.npz", **{name: elites[name] for name in POLICY_FIELDS})

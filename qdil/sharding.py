@@ -1,4 +1,6 @@
-"""One mesh over the local devices (CPU cores or GPUs) and the two layouts that every array here has."""
+"""One mesh over all devices (CPU cores or GPUs, of one host or several) and the two layouts that arrays here have."""
+
+from typing import Any
 
 import jax
 import numpy as np
@@ -9,17 +11,21 @@ AXIS = "devices"
 
 
 def make_mesh(num_devices: int) -> Mesh:
-    """A one-dimensional mesh over the first ``num_devices`` local devices."""
-    devices = np.asarray(jax.local_devices()[:num_devices])
+    """A one-dimensional mesh over the first ``num_devices`` devices."""
+    devices = np.asarray(jax.devices()[:num_devices])
     return Mesh(devices, (AXIS,), axis_types=(AxisType.Auto,))
 
 
 def choose_num_devices(requested: int, *counts: int) -> int:
-    """Devices to use: ``requested``, or if 0 the most local devices that divide every count.
+    """Devices to use: ``requested``, or if 0 the most devices that divide every count; all, where hosts are several.
 
-    Raises ValueError in one sentence when an explicit request cannot be met.
+    Raises ValueError in one sentence when that cannot be met.
     """
-    available = jax.local_device_count()
+    available = jax.device_count()
+    if jax.process_count() > 1 and requested in (0, available):
+        requested = available  # a host without a share would wait for ever
+    elif jax.process_count() > 1:
+        raise ValueError(f"devices={requested} leaves some of the {available} devices of several hosts without work.")
     if requested == 0:
         return max(d for d in range(1, available + 1) if all(c % d == 0 for c in counts))
     if requested > available:
@@ -41,3 +47,8 @@ def replicated(mesh: Mesh) -> NamedSharding:
 def by_environment(mesh: Mesh) -> NamedSharding:
     """The leading (environment or candidate) axis split over the devices."""
     return NamedSharding(mesh, P(AXIS))
+
+
+def laid_out(tree: Any, sharding: NamedSharding) -> Any:
+    """A tree of arrays that every host has whole, random keys among them, as arrays in the given layout."""
+    return jax.jit(lambda x: x, out_shardings=sharding)(tree)

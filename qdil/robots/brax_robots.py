@@ -72,6 +72,19 @@ def model(name: str) -> Any:
         return envs.get_environment(ROBOTS[name].brax_name, backend=BACKENDS[0]).sys.mj_model
 
 
+@contextmanager
+def _constants_on_this_host() -> Iterator[None]:
+    """MuJoCo's loader puts a model on the first device of all hosts; put it on this host's own, which it can read."""
+    from mujoco import mjx
+
+    whole = mjx.put_model
+    mjx.put_model = partial(whole, device=jax.local_devices()[0])
+    try:
+        yield
+    finally:
+        mjx.put_model = whole
+
+
 @cache
 def make(name: str, backend: str = "spring") -> Environment:
     """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
@@ -85,7 +98,8 @@ def make(name: str, backend: str = "spring") -> Environment:
         from brax import contact, envs
         from brax.envs.base import State
 
-        env: Any = envs.get_environment(ROBOTS[name].brax_name, backend=backend)
+        with _constants_on_this_host():
+            env: Any = envs.get_environment(ROBOTS[name].brax_name, backend=backend)
         start = jax.eval_shape(env.reset, jax.random.key(0))
         jax.eval_shape(partial(contact.get, env.sys), start.pipeline_state.x)  # the collision code is imported here
     metric_names = tuple(start.metrics)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from qdil.hosts import to_host
 from qdil.robots.environment import Environment
 from qdil.search import networks
 from qdil.search.rollout import Actors, split_each, start, where_each
@@ -62,7 +62,7 @@ def run(episodes: Episodes, pay: Pay, policies: Policies, carry: object, key: ja
     """
     actors, tally = episodes.begin(key)
     fitness: jax.Array | None = None
-    while np.asarray(tally.alive).any():
+    while to_host(tally.alive).any():
         actors, tally, transitions, counted = episodes.advance(policies, actors, tally)
         carry, paid = pay(carry, transitions, counted)
         fitness = paid if fitness is None else fitness + paid
