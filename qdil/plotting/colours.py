@@ -1,7 +1,8 @@
 """A colour for every method, the same in every figure, and a second channel where colours might be confused.
 
-Colours are Okabe and Ito's and Tol's, told apart with any kind of colour vision; each base also has a marker of its
-own, filled according to the prefix, and a method that is drawn under several settings has a dash for each.
+Colours are near Okabe and Ito's and Tol's, and those that a study draws together are told apart with any kind of colour
+vision (the tests simulate three kinds of deficiency); each base also has a marker of its own, filled according to the
+prefix, and a method that is drawn under several settings has a dash for each.
 """
 
 from collections.abc import Iterable
@@ -15,21 +16,21 @@ from qdil.registry import OBS_ONLY, Method, parse_method
 METHOD_COLOURS = {
     "true": "#000000",
     "mbo-true": "#009e73",
-    "zero": "#999933",
-    "mbo-zero": "#44aa99",
+    "zero": "#999999",
+    "mbo-zero": "#117733",
     "gail": "#0072b2",
     "mcond-gail": "#56b4e9",
     "mbo-gail": "#e69f00",
     "mconbo-gail": "#d55e00",
     "vail": "#cc79a7",
     "mconbo-vail": "#882255",
-    "airl": "#44aa99",
-    "mconbo-airl": "#117733",
-    "giril": "#e69f00",
-    "mconbo-giril": "#7f5a00",
+    "airl": "#2e6b2e",
+    "mconbo-airl": "#7fbc41",
+    "giril": "#e0c000",
+    "mconbo-giril": "#997700",
     "pwil": "#56b4e9",
     "mconbo-pwil": "#332288",
-    "maxent": "#999999",
+    "maxent": "#bbbbbb",
     "mconbo-maxent": "#4d4d4d",
 }
 OTHER_COLOURS = ("#cc79a7", "#882255", "#999999", "#332288", "#117733")  # for what is no method of these bases
