@@ -43,11 +43,11 @@ def read(path: Path) -> Demos:
 
 def episodes(demos: Demos, robot: str) -> pd.DataFrame:
     """A row per demonstration: steps, return and measures of the recorded episode, and what the archive said of it."""
-    elite, recorded = demos["elite_measures"], demos["episode_measures"]
+    elite, recorded = (demos[name].astype(float) for name in ("elite_measures", "episode_measures"))
     table = {
         "steps (rows)": np.bincount(demos["episode"]),
-        "return": demos["episode_return"],
-        "return in the archive": demos["elite_return"],
+        "return": demos["episode_return"].astype(float),
+        "return in the archive": demos["elite_return"].astype(float),
     }
     for j, foot in enumerate(FEET_OF[robot].feet):
         table[f"{foot} down"], table[f"{foot} down in the archive"] = recorded[:, j], elite[:, j]
