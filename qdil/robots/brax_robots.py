@@ -125,6 +125,7 @@ def make(name: str, backend: str = "spring") -> Environment:
         outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
         return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome
 
-    return Environment(
-        name, backend, int(env.observation_size), int(env.action_size), ROBOTS[name].feet, float(env.dt), reset, step
-    )
+    # Traced once, whatever compiles them into itself; ``inline`` leaves no trace of that in the programs.
+    reset, step = jax.jit(reset, inline=True), jax.jit(step, inline=True)
+    obs_size = start.obs.shape[-1]  # the property of Brax traces a reset to find out
+    return Environment(name, backend, obs_size, int(env.action_size), ROBOTS[name].feet, float(env.dt), reset, step)
