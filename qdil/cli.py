@@ -179,6 +179,8 @@ def _figures(args: argparse.Namespace) -> int:
 def _claims(args: argparse.Namespace) -> int:
     from qdil.evidence import claims
 
+    if not args.results.is_dir():
+        raise ConfigError(f"there is no folder {args.results} with results.")
     verdicts = claims.judge(args.results, args.budget, [args.env] if args.env else None)
     print(claims.plain(verdicts))
     if not args.env:

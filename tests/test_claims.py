@@ -280,6 +280,8 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
 def test_the_command_refuses_what_does_not_exist(tmp_path, arguments, capsys):
     assert cli.main(["claims", "--results", str(tmp_path), *arguments]) == 2
     assert "choose one of" in capsys.readouterr().err
+    assert cli.main(["claims", "--results", str(tmp_path / "reslts")]) == 2
+    assert "there is no folder" in capsys.readouterr().err and not (tmp_path / "reslts").exists()
 
 
 def test_the_kept_page_is_what_the_runs_that_it_names_say(tmp_path):
