@@ -39,6 +39,11 @@ def test_curves_are_the_tables_columns_and_share_a_legend():
     assert (first.get_ylabel(), second.get_ylabel(), second.get_xlabel()) == ("y", "", "x")
 
 
+def test_panels_that_are_called_like_their_only_line_need_no_legend():
+    one = {name: pd.DataFrame({name: [1.0, 2.0]}) for name in ("gail", "airl")}
+    assert not comparisons.curves(one, "x", "y").legends
+
+
 def test_clouds_are_the_points():
     points = {"a": np.eye(2), "b": np.zeros((3, 2))}
     figure = comparisons.clouds({"left": points, "right": {"a": np.ones((1, 2))}}, "x", "y")

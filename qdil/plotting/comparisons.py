@@ -54,14 +54,15 @@ def curves(panels: Mapping[str, pd.DataFrame], x_label: str, y_label: str, colum
             lines[str(name)] = ax.plot(table.index, table[name], **style)[0]
         ax.set(title=title, xlabel=x_label, ylabel=y_label if i % columns == 0 else "")
         _plain(ax)
-    if len(lines) > 1:
+    titled = all(list(table.columns) == [title] for title, table in panels.items())
+    if len(lines) > 1 and not titled:
         where = {"loc": "outside right upper"} if len(axes) == 1 else {"loc": "outside lower center", "ncols": 6}
         figure.legend(lines.values(), lines.keys(), frameon=False, **where)
     return figure
 
 
-def clouds(panels: Mapping[str, Mapping[str, Any]], x_label: str, y_label: str) -> Figure:
-    """A panel per title: groups of points (n, 2) in the plane, by name.
+def clouds(panels: Mapping[str, Mapping[str, Any]], x_label: str, y_label: str, equal: bool = True) -> Figure:
+    """A panel per title: groups of points (n, 2) in the plane, by name; ``equal`` where both axes have one unit.
 
     Raises ValueError where there is nothing to draw.
     """
@@ -70,7 +71,7 @@ def clouds(panels: Mapping[str, Mapping[str, Any]], x_label: str, y_label: str) 
         for (name, points), colour in zip(groups.items(), SERIES * len(groups), strict=False):
             at = np.asarray(points)
             ax.scatter(at[:, 0], at[:, 1], s=14, color=colour, alpha=0.7, linewidths=0, label=name)
-        ax.set(title=title, xlabel=x_label, ylabel=y_label, aspect="equal")
+        ax.set(title=title, xlabel=x_label, ylabel=y_label, aspect="equal" if equal else "auto")
         _plain(ax)
     handles, labels = axes[0].get_legend_handles_labels()
     where = {"loc": "outside right upper"} if len(axes) == 1 else {"loc": "outside lower center", "ncols": 6}
@@ -85,8 +86,9 @@ def coupling(steps: Any, atoms: Any, taken: Any) -> Figure:
     as the mass is large.
     """
     steps, atoms, taken = (np.asarray(x, float) for x in (steps, atoms, taken))
-    figure = Figure(figsize=(6.4, 3.9), layout="constrained")
+    figure = Figure(figsize=(7.0, 3.9), layout="constrained")
     ax = figure.subplots()
+    ax.margins(0.12)
     for t, j in np.argwhere(taken > 0):
         xs, ys = zip(steps[t], atoms[j], strict=True)
         ax.plot(xs, ys, color="0.6", lw=6 * taken[t, j] / taken.max(), zorder=1)
@@ -95,7 +97,7 @@ def coupling(steps: Any, atoms: Any, taken: Any) -> Figure:
     for t, where in enumerate(steps):
         ax.annotate(str(t + 1), where, color="white", ha="center", va="center", zorder=3, fontsize=9)
     ax.set(xlabel="input 1 (spreads)", ylabel="input 2 (spreads)", aspect="equal")
-    figure.legend(loc="outside right upper", frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, markerscale=0.7, frameon=False)
     _plain(ax)
     return figure
 
