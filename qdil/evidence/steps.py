@@ -5,6 +5,7 @@ steps of known kinds. Or it learns from any rows at all, such as points in a pla
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from qdil.search.vppo import act_with_copies
 from qdil.types import RewardContext, Transitions
 
 ROBOTS, STEPS = 16, 96  # of an untrained policy: enough rows to learn from, and quickly simulated
+RIDGE = 0.01  # of a row's own weight
 
 
 class Split(NamedTuple):
@@ -76,18 +78,23 @@ def with_other_actions(steps: Transitions, seed: int) -> Transitions:
 
 def untrained(env: str, seed: int, robots: int = ROBOTS, steps: int = STEPS) -> Transitions:
     """(steps, robots) of θ_0, a policy that has learned nothing and acts mostly by chance."""
-    config = make_config(env, "true", "laptop", seed)
-    robot = brax_robots.make(config.env, config.backend)
+    return _beginner(env, robots, steps)(jax.random.key(seed))
+
+
+@lru_cache(maxsize=4)
+def _beginner(env: str, robots: int, steps: int) -> Callable[[jax.Array], Transitions]:
+    """``untrained`` as a compiled function of the key."""
+    config = make_config(env, "true", "laptop")
+    parts = phases.assemble(config)
 
     def roll(key: jax.Array) -> Transitions:
-        parts = phases.assemble(config)
         learner, stats, _ = phases.init(parts, key)
         act = act_with_copies(jax.tree.map(lambda leaf: leaf[None], learner.policy), stats, 1)
         keys = jax.random.split(jax.random.fold_in(key, 1), robots)
-        actors = start(robot, keys, config.episode_length)
-        return window(robot, act, actors, steps, config.episode_length)[1]
+        actors = start(parts.env, keys, config.episode_length)
+        return window(parts.env, act, actors, steps, config.episode_length)[1]
 
-    return jax.jit(roll)(jax.random.key(seed))
+    return jax.jit(roll)
 
 
 def paid(
@@ -115,8 +122,9 @@ def paid(
 def actions_explained(split: Split, names: Sequence[str]) -> dict[str, float]:
     """The share of actions' variance that a linear function of some fields explains, in both kinds of steps.
 
-    The function is fitted to ``split.learned``, every number of it in its own spread, by least squares; ``names`` are
-    fields of ``Demonstrations``. Shares are at most 1, and negative where a constant would do better.
+    The function is fitted to ``split.learned`` by ridge regression (``RIDGE`` per row, every number in its own spread),
+    so that a few rows do not fit by accident; ``names`` are fields of ``Demonstrations``. Shares are at most 1, and
+    negative where a constant would do better.
     """
     held_out = Demonstrations(*(getattr(split.held_out, name)[:, 0] for name in Demonstrations._fields))
     known = np.concatenate([np.asarray(getattr(split.learned, name), float) for name in names], axis=1)
@@ -124,13 +132,15 @@ def actions_explained(split: Split, names: Sequence[str]) -> dict[str, float]:
 
     def columns(rows: Demonstrations) -> np.ndarray:
         x = np.concatenate([np.asarray(getattr(rows, name), float) for name in names], axis=1)
-        return np.concatenate([(x - center) / spread, np.ones((len(x), 1))], axis=1)
+        return (x - center) / spread
 
-    weights = np.linalg.lstsq(columns(split.learned), np.asarray(split.learned.action, float))[0]
+    x, mean = columns(split.learned), np.asarray(split.learned.action, float).mean(axis=0)
+    ridge = RIDGE * len(x) * np.eye(x.shape[1])
+    weights = np.linalg.solve(x.T @ x + ridge, x.T @ (np.asarray(split.learned.action, float) - mean))
     shares = {}
     for kind, rows in {"learned from": split.learned, "held out": held_out}.items():
         action = np.asarray(rows.action, float)
-        wrong = np.square(action - columns(rows) @ weights).sum()
+        wrong = np.square(action - mean - columns(rows) @ weights).sum()
         shares[kind] = float(1 - wrong / np.square(action - action.mean(axis=0)).sum())
     return shares
 
