@@ -91,7 +91,7 @@ def test_actions_that_follow_a_linear_law_are_explained_by_what_the_law_reads():
 
     held_out = steps.Split(rows(300), None, jax.tree.map(lambda x: x[:, None], rows(200)))
     everything = steps.actions_explained(held_out, ["obs", "proxy"])
-    assert everything == pytest.approx({"learned from": 1.0, "held out": 1.0}, abs=1e-4)
+    assert everything == pytest.approx({"learned from": 1.0, "held out": 1.0}, abs=1e-3)
     # Of a variance of 3² + 2² the observation makes up 3², and the proxy 2².
     assert steps.actions_explained(held_out, ["obs"])["held out"] == pytest.approx(9 / 13, abs=0.1)
     assert steps.actions_explained(held_out, ["proxy"])["held out"] == pytest.approx(4 / 13, abs=0.1)
