@@ -1,7 +1,22 @@
 """qdil: quality-diversity imitation learning in JAX, the reproducible companion to MConbo-GAIL."""
 
+from typing import TYPE_CHECKING, Any
+
 from qdil import _startup
+
+if TYPE_CHECKING:
+    from qdil.explorer import explore as explore
+    from qdil.explorer import render as render
 
 _startup.prepare()
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """``qdil.explore`` and ``qdil.render``, imported when first asked for: they bring widgets and the simulator."""
+    if name in ("explore", "render"):
+        from qdil import explorer
+
+        return getattr(explorer, name)
+    raise AttributeError(f"module 'qdil' has no attribute '{name}'")

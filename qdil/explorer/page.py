@@ -10,7 +10,9 @@ from typing import Any
 
 from qdil.explorer import shown as showing
 from qdil.explorer.pack import pack
+from qdil.explorer.picture import picture
 from qdil.explorer.shown import Shown
+from qdil.files import replace_file
 
 STATIC = Path(__file__).parent / "static"
 RECORDINGS = 100  # episodes in a page, over all its runs
@@ -49,6 +51,29 @@ FRAGMENT = (
 )
 
 
+class Page:
+    """The explorer as a notebook's output for where no kernel will be: the page over a picture."""
+
+    def __init__(self, runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS) -> None:
+        self.runs, self.state, self.recordings = list(runs), state, recordings
+
+    def save(self, path: str | Path, recordings: int | None = None) -> Path:
+        """Write the page; see ``save``."""
+        return save(self.runs, self.state, path, self.recordings if recordings is None else recordings)
+
+    def _repr_html_(self) -> str:
+        names = ", ".join(shown.name for shown in self.runs)
+        alt = f"Archive explorer ({names}): a heatmap of the archive, and the robot of a chosen cell walking."
+        return fragment(page(self.runs, self.state, self.recordings), picture(self.runs, self.state), alt)
+
+
+def save(runs: Sequence[Shown], state: dict[str, Any], path: str | Path, recordings: int = RECORDINGS) -> Path:
+    """Write the explorer of ``runs`` as one HTML file that needs no kernel and no network; returns its path."""
+    content = page(runs, state, recordings).encode()
+    replace_file(Path(path), lambda file: file.write(content))
+    return Path(path)
+
+
 def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS) -> str:
     """A whole HTML document: the explorer of ``runs`` with about ``recordings`` episodes, and nothing to load.
 
@@ -57,7 +82,8 @@ def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDI
     """
     playing = [shown.plays for shown in runs]
     share = -(-recordings // max(1, sum(playing)))
-    wanted = [[cell for run, cell in state.get("selected", []) if run == i] for i in range(len(runs))]
+    state = {"run": 0, "against": -1, "field": "true_return", "iteration": -1, "selected": [], **state}
+    wanted = [[cell for run, cell in state["selected"] if run == i] for i in range(len(runs))]
     packed: dict[str, str] = {}
     playable: list[list[int]] = []
     left = MOST_BYTES

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -156,7 +157,7 @@ def told(runs: Sequence[Shown], playable: Sequence[Sequence[int]] | None = None)
     """
     env = next((shown.config["env"] for shown in runs if shown.config), None)
     feet = list(ROBOTS[env].feet) if env else ["foot 1", "foot 2"]
-    content: dict[str, Any] = {"robot": _robot(env) if env else None, "runs": [_told(shown, feet) for shown in runs]}
+    content: dict[str, Any] = {"robot": robot(env) if env else None, "runs": [_told(shown, feet) for shown in runs]}
     if playable is not None:
         content["playable"] = [list(cells) for cells in playable]
     return json.loads(json.dumps(content))
@@ -199,17 +200,18 @@ def _rounded(values: Any) -> Any:
     return np.round(np.asarray(values, float), 4).tolist()
 
 
-def _robot(env: str) -> dict[str, Any]:
+@cache
+def robot(env: str) -> dict[str, Any]:
     """A robot's capsules for the front end: link numbers, ends in the links' frames, metres."""
-    robot, pose = shapes.shapes(env), shapes.first_pose(env)
-    ends = shapes.placed(robot, pose)
-    around = robot.radius[:, None, None]
+    body, pose = shapes.shapes(env), shapes.first_pose(env)
+    ends = shapes.placed(body, pose)
+    around = body.radius[:, None, None]
     low, high = (ends - around).min(axis=(0, 1)), (ends + around).max(axis=(0, 1))
     side = legs(env)
     capsules = [
         {"link": int(link), "ends": _rounded(two.ravel()), "radius": round(float(radius), 4), "foot": int(foot),
          "side": int(side[link])}
-        for link, two, radius, foot in zip(*robot, strict=True)
+        for link, two, radius, foot in zip(*body, strict=True)
     ]  # fmt: skip
     return {
         "name": env,
@@ -222,6 +224,7 @@ def _robot(env: str) -> dict[str, Any]:
     }
 
 
+@cache
 def legs(env: str) -> np.ndarray:
     """(L,) for every link the number of the foot whose leg it is part of, -1 for what the legs share or lack."""
     model = brax_robots.model(env)

@@ -65,6 +65,8 @@ function mount(el, data) {
       return decode(Uint8Array.from(atob(packed), (c) => c.charCodeAt(0)));
     },
   };
+  // Until here the page was clear, so that a picture under it could be seen.
+  Object.assign(document.body.style, { background: "#fff", minHeight: "100vh" });
   return explorer(el, host);
 }
 

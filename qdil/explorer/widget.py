@@ -1,0 +1,102 @@
+"""The explorer in a live notebook: the front end as a widget, menus around it, rollouts computed at each click."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import anywidget
+import ipywidgets
+import traitlets
+
+from qdil.explorer import shown as showing
+from qdil.explorer.pack import pack
+from qdil.explorer.page import STATIC
+from qdil.explorer.shown import Shown
+
+FIELDS = {"True return": "true_return", "Learned fitness": "fitness", "Learned fitness − true return": "difference"}
+KEPT = 512  # packed rollouts that a widget remembers, a few kilobytes each
+
+
+class View(anywidget.AnyWidget):
+    """Heatmap, robots and gait diagram; its traits are what the reader chooses, from either side."""
+
+    _esm = STATIC / "explorer.js"
+    _css = STATIC / "explorer.css"
+    show = traitlets.Dict().tag(sync=True)
+    run = traitlets.Int(0).tag(sync=True)  # which run the heatmap shows
+    against = traitlets.Int(-1).tag(sync=True)  # which run is subtracted; -1: none
+    field = traitlets.Unicode("true_return").tag(sync=True)
+    iteration = traitlets.Int(-1).tag(sync=True)  # -1: the end of the run
+    selected: traitlets.List = traitlets.List().tag(sync=True)  # [number of the run, number of the cell], up to four
+
+    def __init__(self, runs: Sequence[Shown], state: dict[str, Any]) -> None:
+        super().__init__(show=showing.told(runs), **state)
+        runs = list(runs)
+
+        @lru_cache(maxsize=KEPT)
+        def packed(number: int, cell: int) -> bytes:
+            return pack(showing.roll_out(runs[number], [cell])[0])
+
+        self._packed = packed
+        self.on_msg(self._answer)
+
+    def _answer(self, _: Any, message: Any, buffers: Any) -> None:
+        """Send the rollout that the front end wants, or why there is none."""
+        if not isinstance(message, dict) or message.get("type") != "want":
+            return
+        which = {"run": message["run"], "cell": message["cell"]}
+        try:
+            content = self._packed(int(message["run"]), int(message["cell"]))
+        except (ValueError, IndexError) as error:
+            self.send({"type": "refused", "why": str(error), **which})
+        else:
+            self.send({"type": "rollout", **which}, buffers=[content])
+
+
+class Explorer(ipywidgets.VBox):
+    """The view with its menus above it; rearrange or replace ``children`` as any ipywidgets box's."""
+
+    def __init__(self, runs: Sequence[Shown], state: dict[str, Any]) -> None:
+        self.runs = list(runs)
+        self.view = View(runs, state)
+        names = [shown.name for shown in runs]
+        self.run_menu = ipywidgets.Dropdown(options=_numbered(names), value=self.view.run, description="Run")
+        self.field_menu = ipywidgets.Dropdown(options=list(FIELDS.items()), value=self.view.field, description="Colour")
+        against = [("nothing", -1), *_numbered(names)]
+        self.against_menu = ipywidgets.Dropdown(options=against, value=self.view.against, description="Minus")
+        menus: list[Any] = [self.run_menu, self.field_menu, self.against_menu] if len(names) > 1 else [self.field_menu]
+        for menu, trait in ((self.run_menu, "run"), (self.field_menu, "field"), (self.against_menu, "against")):
+            ipywidgets.link((menu, "value"), (self.view, trait))
+        last = max((run["history"]["last"] for run in self.view.show["runs"] if run["history"]), default=-1)
+        if last >= 0:
+            menus.append(self._iteration_menu(last))
+        super().__init__([ipywidgets.HBox(menus, layout={"flex_flow": "row wrap"}), self.view])
+
+    def _iteration_menu(self, last: int) -> Any:
+        """A slider, with a play button, over the iterations at which the archive filled."""
+        slider = ipywidgets.IntSlider(last, 0, last, description="Iteration")
+        player = ipywidgets.Play(value=last, min=0, max=last, interval=60, show_repeat=False)
+        ipywidgets.jslink((player, "value"), (slider, "value"))
+        slider.observe(lambda change: self._show_iteration(change["new"], last), "value")
+        return ipywidgets.HBox([player, slider])
+
+    def _show_iteration(self, iteration: int, last: int) -> None:
+        self.view.iteration = -1 if iteration == last else iteration
+
+    @property
+    def selected(self) -> list[tuple[str, int]]:
+        """What is shown: (name of the run, number of the cell)."""
+        return [(self.runs[number].name, int(cell)) for number, cell in self.view.selected]
+
+    def save(self, path: str | Path, recordings: int | None = None) -> Path:
+        """Write the explorer as a page of its own; see ``page.save``."""
+        from qdil.explorer.page import RECORDINGS, save
+
+        state = {name: getattr(self.view, name) for name in ("run", "against", "field", "iteration", "selected")}
+        return save(self.runs, state, path, RECORDINGS if recordings is None else recordings)
+
+
+def _numbered(names: list[str]) -> list[tuple[str, int]]:
+    """Menu entries; equal names are told apart by their number."""
+    return [(name if names.count(name) == 1 else f"{name} ({i + 1})", i) for i, name in enumerate(names)]
