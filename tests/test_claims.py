@@ -165,12 +165,15 @@ def test_fewer_demonstrations_cost_score_and_not_coverage(tmp_path):
 def test_the_lemma_is_judged_from_its_results_file(tmp_path):
     path = tmp_path / "laptop" / "lemma.json"
     path.parent.mkdir()
-    problems = {"mdp": [0.1, 0.2, 0.0], "walker2d": [-0.2, -0.1], "humanoid": [0.3]}
+    problems = {"mdp": [0.1, 0.2, 0.0], "mdp-falls": [0.1, -0.1], "walker2d": [-0.2, -0.1], "humanoid": [0.3]}
     path.write_text(json.dumps({"environments": {env: {"change": change} for env, change in problems.items()}}))
     judged = {v.env: v for v in claims.judge(tmp_path) if v.claim.id == "C14"}
     assert {env: v.verdict for env, v in judged.items()} == {
-        "mdp": REPRODUCED, "halfcheetah": NO_RUNS, "walker2d": NOT_REPRODUCED, "humanoid": INCONCLUSIVE
+        "mdp": REPRODUCED, "mdp-falls": INCONCLUSIVE, "halfcheetah": NO_RUNS, "walker2d": NOT_REPRODUCED,
+        "humanoid": INCONCLUSIVE,
     }  # fmt: skip
+    assert [env for env, v in judged.items() if v.beyond] == ["mdp-falls"]
+    assert "mdp-falls" not in {v.env for v in claims.judge(tmp_path) if v.claim.id != "C14"}
     assert judged["mdp"].findings[0].means == pytest.approx((0.1,)) and judged["mdp"].findings[0].seeds == (3,)
 
 

@@ -25,7 +25,7 @@ SCALE = {
     "laptop": "Ours and the paper's numbers differ in scale (cells, episodes, training): compare order, not size.",
     "full": "Ours and the paper's numbers are of the same scale.",
 }
-BEYOND = "†"  # marks a robot of which the paper does not claim it
+BEYOND = "†"  # marks robots, and problems of Lemma 1, of which the paper does not claim it
 NO_NUMBER = "no number"  # of what the paper shows or says without one
 QUESTION = {"reproduced": "yes", "not reproduced": "no"}  # the words of verdicts on questions of our own
 
@@ -155,7 +155,7 @@ def plain(verdicts: Sequence[Verdict]) -> str:
         f"    paper {row['paper']}"
         for row in rows
     ]
-    note = f"{BEYOND} The paper does not claim it of this robot."
+    note = f"{BEYOND} The paper does not claim it of this robot or problem."
     return "\n".join([markdown_table(short), note, "", *(lines or ["There are no runs to compare."])])
 
 
@@ -168,7 +168,7 @@ def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = run.RESULTS)
         f"Written by `qdil claims --budget {budget}` from finished runs and nothing else.\n{HOW_TO_READ}",
         "## Verdicts",
         markdown_table(overview(verdicts).reset_index()),
-        f"{BEYOND} The paper does not claim it of this robot.",
+        f"{BEYOND} The paper does not claim it of this robot or problem.",
         "## Comparisons",
         markdown_table(details) if len(details) else "There are no runs.",
         SCALE[budget],

@@ -5,13 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdil.config import ROBOTS
 from qdil.evidence import stats
 from qdil.evidence.stats import Interval
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 INCONCLUSIVE, NO_RUNS = "inconclusive", "no runs"
-VERDICTS = (REPRODUCED, NOT_REPRODUCED, INCONCLUSIVE, NO_RUNS)
+SMALL_MDP = "mdp"  # the problem of Lemma 1, with episodes of equal length, as its proof assumes
 
 
 class Part(NamedTuple):
@@ -59,8 +58,8 @@ class Verdict(NamedTuple):
 
     @property
     def beyond(self) -> bool:
-        """Whether the paper does not claim this of this robot."""
-        return self.env in ROBOTS and self.env not in self.claim.robots
+        """Whether the paper does not claim this of this robot, or the lemma of this problem."""
+        return self.env not in (SMALL_MDP, *self.claim.robots)
 
 
 class Kind(NamedTuple):
