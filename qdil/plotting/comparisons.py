@@ -8,8 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qdil.plotting.colours import METHOD_COLOURS, method_colour
+from qdil.plotting.colours import method_colour
 from qdil.plotting.style import BLUE, GREEN, METRICS, RED, percent
+from qdil.registry import method_names
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's, in our order
 DASHES = ("-", "--", ":", "-.")  # so that lines differ in print, too
@@ -48,7 +49,7 @@ def curves(panels: Mapping[str, pd.DataFrame], x_label: str, y_label: str, colum
     for i, (ax, (title, table)) in enumerate(zip(axes, panels.items(), strict=True)):
         for name in table.columns:
             at = names.index(name)
-            colour = METHOD_COLOURS.get(str(name), SERIES[at % len(SERIES)])
+            colour = method_colour(str(name)) if name in method_names() else SERIES[at % len(SERIES)]
             style: dict[str, Any] = {"color": colour, "ls": DASHES[at // len(SERIES) % len(DASHES)]}
             style |= {"marker": "o" if len(table) < 20 else None, "ms": 4}
             lines[str(name)] = ax.plot(table.index, table[name], **style)[0]
