@@ -5,8 +5,9 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 
 SWEEP ?=
+SITE ?=
 
-.PHONY: reproduce test test-slow lint sweep lock clean
+.PHONY: reproduce test test-slow lint sweep site contents lock clean
 
 reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke, laptop or full)
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
@@ -28,9 +29,15 @@ $(VENV)/.installed: environment.lock pyproject.toml
 	$(RUN) -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
-sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d methods=true,gail seeds=1,2,3")
+sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d studies=main seeds=1,2,3", or methods=true,gail)
 	$(RUN) -m snakemake --snakefile workflow/Snakefile --cores all --nolock --rerun-incomplete --rerun-triggers mtime \
 		--config budget=$(BUDGET) $(SWEEP)
+
+site: $(VENV)/.installed  ## the executed notebooks as web pages in build/site (SITE=smoke, laptop or full: that budget's)
+	$(RUN) -m qdil.series.site $(if $(SITE),--budget $(SITE))
+
+contents: $(VENV)/.installed  ## write the table of notebooks into README.md, from notebooks/index.toml
+	$(RUN) -m qdil.series.index
 
 lock:  ## resolve the pinned, hashed environment anew (needs uv)
 	uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \

@@ -19,9 +19,9 @@ def config(results: Path, methods: str, **more: str) -> list[str]:
     return ["--config", *(f"{name}={value}" for name, value in words.items())]
 
 
-def planned(results: Path, methods: str, **more: str) -> dict[str, int]:
+def planned(results: Path, methods: str, rule: str = "all", **more: str) -> dict[str, int]:
     """How many jobs of each rule a dry run announces."""
-    command = [*SNAKEMAKE, "--dry-run", *config(results, methods, **more)]
+    command = [*SNAKEMAKE, "--dry-run", rule, *config(results, methods, **more)]
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert said.returncode == 0, said.stdout + said.stderr
     table = (said.stdout + said.stderr).split("Job stats:")[-1].splitlines()[3:]
@@ -42,6 +42,49 @@ def test_what_is_there_is_not_run_again(tmp_path):
     manifest.parent.mkdir(parents=True)
     manifest.write_text("{}")
     assert planned(tmp_path, "true,gail") == {"all": 1, "run": 1, "demos": 1}
+
+
+def test_a_study_is_its_experiments_each_with_the_demonstrations_it_learns_from(tmp_path):
+    """Figs. 12-14: the expert and two methods on 4, 2, 1 and 10 demonstrations."""
+    plan = planned(tmp_path, "", budget="laptop", studies="demonstrations", seeds="1,2")
+    assert plan == {"all": 1, "run": 2 * (1 + 2 * 4), "demos": 4}
+
+
+def test_studies_and_methods_add_up_and_share_runs(tmp_path):
+    plan = planned(tmp_path, "gail,zero", studies="main,p-and-q")
+    assert plan == {"all": 1, "run": 3 + 8 + 1, "demos": 1}
+
+
+def test_an_experiment_runs_with_the_settings_in_its_name(tmp_path):
+    command = [*SNAKEMAKE, "--dry-run", "--printshellcmds", *config(tmp_path, "mconbo-gail+bonus_p=1.0+bonus_q=0.0")]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert "train --env walker2d --method mconbo-gail --set bonus_p=1.0 --set bonus_q=0.0" in said.stdout + said.stderr
+
+
+NOTEBOOKS = {"notebooks": "01_background,05_mconbo_gail", "source": "notebooks", "executed": "executed", "seed": "1"}
+
+
+def test_notebooks_wait_for_one_training_at_smoke_and_only_if_they_show_runs(tmp_path):
+    more = {**NOTEBOOKS, "scratch": str(tmp_path), "minutes": "1"}
+    assert planned(tmp_path, "", "notebooks", **more) == {"notebooks": 1, "notebook": 2, "trained": 1}
+    more["notebooks"] = "01_background"
+    assert planned(tmp_path, "", "notebooks", **more) == {"notebooks": 1, "notebook": 1}
+
+
+def test_beyond_smoke_notebooks_bring_their_runs_only_if_asked_to(tmp_path):
+    more = {**NOTEBOOKS, "scratch": str(tmp_path / "scratch"), "minutes": "1", "budget": "laptop"}
+    assert planned(tmp_path, "", "notebooks", **more) == {"notebooks": 1, "notebook": 2}
+    plan = planned(tmp_path, "", "notebooks", **more, train="1")
+    assert plan == {"notebooks": 1, "notebook": 2, "run": 3 * 3, "demos": 1}  # three seeds of the study "main"
+
+
+def test_runs_that_are_there_are_left_alone_by_notebooks(tmp_path):
+    """Snakemake removes what it is about to make: a finished run must never be among that."""
+    manifest = tmp_path / "laptop" / "walker2d" / "true" / "seed-1" / "manifest.json"
+    manifest.parent.mkdir(parents=True)
+    manifest.write_text("{}")
+    more = {**NOTEBOOKS, "scratch": str(tmp_path / "scratch"), "minutes": "1", "budget": "laptop", "train": "1"}
+    assert planned(tmp_path, "", "notebooks", **more)["run"] == 3 * 3 - 1
 
 
 def test_a_wrong_method_is_refused_in_a_sentence(tmp_path):

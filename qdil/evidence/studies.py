@@ -31,6 +31,7 @@ def config_of(experiment: str, env: str, budget: str, seed: int = 1) -> Config:
 
 MAIN = ("true", "gail", "mconbo-gail")
 STUDIES: dict[str, tuple[str, ...]] = {
+    "expert": ("true",),  # Figs. 4, 9, Table 3
     "main": MAIN,  # Figs. 5, 6
     "vail": ("true", "vail", "mconbo-vail"),  # Fig. 8
     "baselines": (*MAIN, "vail", "mconbo-vail", "airl", "giril", "pwil", "maxent"),  # Table 1

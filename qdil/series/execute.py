@@ -1,78 +1,84 @@
-"""Executing the notebooks headlessly with papermill, each into a copy with its outputs under ``results/notebooks``."""
+"""One notebook, executed headlessly with papermill into a copy with its outputs; a process of its own, see ``main``."""
 
-import tempfile
+import argparse
+import json
+import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import nbformat
 import papermill
 from papermill.exceptions import PapermillExecutionError
 
 from qdil.config import ConfigError
-from qdil.files import replace_file
+from qdil.files import replace_file, write_json
 
 ROOT = Path(__file__).parent.parent.parent
-NOTEBOOKS = ROOT / "notebooks"
-EXECUTED = ROOT / "results" / "notebooks"
 KERNEL = "python3"  # ipykernel's own, which Jupyter starts with the interpreter that runs this
 QUIET = ["--IPKernelApp.log_level=50"]  # the kernel's remarks about its own transport and shutdown help nobody here
+PARAMETERS = ("budget", "env", "seed")  # what every notebook is given
 
 
-def names_of_all() -> list[str]:
-    """The numbered notebooks in reading order, without their suffix."""
-    return sorted(path.stem for path in NOTEBOOKS.glob("[0-9][0-9]_*.ipynb"))
+def check_parameters(source: Path) -> None:
+    """Raise ConfigError if a notebook's parameters cell lacks one of ``PARAMETERS``, perhaps misspelt.
 
-
-def execute_all(names: list[str], budget: str) -> list[str]:
-    """Execute ``names`` (none: every notebook) at ``budget``; returns one sentence for each that failed.
-
-    A copy with outputs goes to ``results/notebooks/<budget>/``, also where a cell failed. Prints a line per notebook
-    with its seconds. Raises ConfigError, before anything runs, for a name that is not a notebook's.
+    papermill would execute it with the notebook's own defaults, and succeed.
     """
-    known = names_of_all()
-    for name in names:
-        if name not in known:
-            raise ConfigError(
-                f"there is no notebook '{name}'; choose from {', '.join(known) or 'none: there are none'}."
-            )
-    failures = []
-    for name in names or known:
-        begin = time.monotonic()
-        failure = execute(name, budget)
-        took = time.monotonic() - begin
-        print(f"{name}: {'failed' if failure else 'done'} after {took:.0f} s", flush=True)
-        failures += [failure] if failure else []
-    return failures
+    has = papermill.inspect_notebook(source)
+    missing = [name for name in PARAMETERS if name not in has]
+    if missing:
+        raise ConfigError(
+            f"{source.stem}: no cell tagged 'parameters' sets {', '.join(missing)} "
+            f"(it sets {', '.join(has) or 'nothing'}), so that nothing was executed."
+        )
 
 
-def execute(name: str, budget: str) -> str | None:
-    """Execute one notebook; returns what went wrong, as 'NAME, cell N: ErrorName: message', or None.
+def execute(source: Path, target: Path, draft: Path, parameters: Mapping[str, Any], limit: float) -> str | None:
+    """Execute one notebook within ``limit`` seconds; what went wrong, as "NAME, cell N: ErrorName: message", or None.
 
-    N is the number in the executed copy's ``In [N]``.
+    N is the number in the executed copy's ``In [N]``. The copy grows at ``draft``, cell by cell, and moves to
+    ``target`` at the end, also where a cell failed.
     """
-    source = NOTEBOOKS / f"{name}.ipynb"
-    if "budget" not in papermill.inspect_notebook(source):  # papermill would run it with the default, and succeed
-        return f"{name}: ConfigError: no cell tagged 'parameters' sets 'budget'."
-    with tempfile.TemporaryDirectory() as scratch:
-        draft = Path(scratch) / source.name
-        try:
-            papermill.execute_notebook(
-                source,
-                draft,
-                {"budget": budget},
-                kernel_name=KERNEL,
-                progress_bar=False,
-                cwd=NOTEBOOKS,
-                extra_arguments=QUIET,
-            )
-            return None
-        except PapermillExecutionError as error:
-            return f"{name}, cell {error.exec_count}: {error.ename}: {_first_line(error.evalue)}"
-        except Exception as error:  # the kernel died or could not start; the other notebooks can still run
-            return f"{name}, cell {_reached(draft)}: {type(error).__name__}: {_first_line(str(error))}"
-        finally:
-            if draft.is_file():
-                _keep(draft, source, EXECUTED / budget / source.name)
+    end = time.monotonic() + limit
+    name, seconds_left = source.stem, lambda cell: max(end - time.monotonic(), 0.001)
+    try:
+        papermill.execute_notebook(
+            source,
+            draft,
+            dict(parameters),
+            kernel_name=KERNEL,
+            progress_bar=False,
+            cwd=source.parent,
+            extra_arguments=QUIET,
+            timeout_func=seconds_left,  # asked before each cell: a limit for the whole notebook
+        )
+        return None
+    except PapermillExecutionError as error:
+        return f"{name}, cell {error.exec_count}: {error.ename}: {_first_line(error.evalue)}"
+    except TimeoutError:
+        return f"{name}, cell {reached(draft)}: TimeoutError: more than {limit / 60:g} minutes for the whole notebook"
+    except Exception as error:  # the kernel died or could not start; the other notebooks can still run
+        return f"{name}, cell {reached(draft)}: {type(error).__name__}: {_first_line(str(error))}"
+    finally:
+        if draft.is_file():
+            _keep(draft, source, target)
+
+
+def progress(draft: Path) -> tuple[int, int] | None:
+    """Code cells done and code cells in all of a notebook that grows at ``draft``; None while it cannot be read."""
+    try:
+        cells = [cell for cell in json.loads(draft.read_text())["cells"] if cell["cell_type"] == "code"]
+    except (OSError, ValueError):
+        return None
+    return sum(cell["metadata"].get("papermill", {}).get("status") == "completed" for cell in cells), len(cells)
+
+
+def reached(draft: Path) -> int:
+    """The number of the last cell that was begun; 0 if none was."""
+    cells = nbformat.read(draft, as_version=4).cells if draft.is_file() else []
+    return sum(cell.cell_type == "code" and bool(cell.metadata.papermill.get("start_time")) for cell in cells)
 
 
 def _keep(draft: Path, source: Path, target: Path) -> None:
@@ -82,17 +88,35 @@ def _keep(draft: Path, source: Path, target: Path) -> None:
     replace_file(target, lambda file: file.write(nbformat.writes(notebook).encode() + b"\n") and None)
 
 
-def _reached(draft: Path) -> int:
-    """The number of the last cell that was begun; 0 if none was."""
-    cells = nbformat.read(draft, as_version=4).cells if draft.is_file() else []
-    return max((cell.get("execution_count") or 0 for cell in cells), default=0)
-
-
 def _shown(path: Path) -> str:
-    """A path from the repository's root, with forward slashes."""
-    return path.relative_to(ROOT).as_posix()
+    """A path from the repository's root, with forward slashes; elsewhere its name alone."""
+    return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
 
 
 def _first_line(text: str) -> str:
     lines = text.strip().splitlines()
     return lines[0] if lines else ""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Execute one notebook for the workflow; its draft and a report, ``NAME.json``, go to ``--scratch``."""
+    parser = argparse.ArgumentParser(prog="python -m qdil.series.execute", description=main.__doc__)
+    parser.add_argument("source", type=Path)
+    for option in ("--target", "--scratch"):
+        parser.add_argument(option, type=Path, required=True)
+    parser.add_argument("--budget", required=True)
+    parser.add_argument("--env", required=True)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--minutes", type=float, required=True, help="limit for the whole notebook")
+    args = parser.parse_args(argv)
+    source, begin = args.source.resolve(), time.monotonic()
+    draft = args.scratch / source.name
+    parameters = {name: getattr(args, name) for name in PARAMETERS}
+    failure = execute(source, args.target.resolve(), draft, parameters, args.minutes * 60)
+    seconds = round(time.monotonic() - begin, 1)
+    write_json(args.scratch / f"{source.stem}.json", {"seconds": seconds, "failure": failure})
+    return 1 if failure else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""The series as ``notebooks/index.toml`` lists it: its notebooks, what each needs and claims, and the table of them."""
+
+import re
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from qdil.config import ConfigError
+from qdil.evidence.studies import experiments_of
+
+ROOT = Path(__file__).parent.parent.parent
+NOTEBOOKS = ROOT / "notebooks"
+# What the paper numbers, and what a notebook therefore can claim to show.
+CLAIMABLE = (
+    *(f"Algorithm {n}" for n in (1, 2, 3)),
+    *(f"Fig. {n}" for n in range(1, 17)),
+    "Lemma 1",
+    *(f"Table {n}" for n in range(1, 10)),
+)
+BEGIN, END = "<!-- the table of notebooks -->", "<!-- end of the table of notebooks -->"  # around it in the README
+
+
+class Entry(NamedTuple):
+    """A notebook of the series."""
+
+    name: str  # of the file, without its suffix
+    title: str
+    about: str  # one line
+    studies: tuple[str, ...]  # whose runs it shows
+    claims: tuple[str, ...]  # of CLAIMABLE
+    minutes: dict[str, float]  # by budget, on two CPU cores, without training; what was not measured is missing
+
+
+def read(path: Path = NOTEBOOKS / "index.toml") -> tuple[Entry, ...]:
+    """All entries in reading order."""
+    rows = tomllib.loads(path.read_text())["notebook"]
+    return tuple(
+        Entry(
+            row["name"], row["title"], row["about"], tuple(row["studies"]), tuple(row["claims"]), row.get("minutes", {})
+        )
+        for row in rows
+    )
+
+
+def experiments_for(names: Iterable[str], budget: str) -> tuple[str, ...]:
+    """The experiments whose runs some notebooks show at a budget, each once; none for a notebook not in the index."""
+    wanted = set(names)
+    return experiments_of(studies_for(wanted), budget)
+
+
+def studies_for(names: Iterable[str]) -> tuple[str, ...]:
+    """The studies whose runs some notebooks show, each once, in the series' order."""
+    wanted = set(names)
+    return tuple(dict.fromkeys(study for entry in read() if entry.name in wanted for study in entry.studies))
+
+
+def names_in(folder: Path = NOTEBOOKS) -> list[str]:
+    """The numbered notebooks of a folder in reading order, without their suffix."""
+    return sorted(path.stem for path in folder.glob("[0-9][0-9]_*.ipynb"))
+
+
+def chosen(names: Iterable[str], folder: Path = NOTEBOOKS) -> list[str]:
+    """``names``, each once; all of the folder's notebooks if there are none. Raises ConfigError for one not there."""
+    known = names_in(folder)
+    for name in (names := list(dict.fromkeys(names))):
+        if name not in known:
+            raise ConfigError(
+                f"there is no notebook '{name}'; choose from {', '.join(known) or 'none: there are none'}."
+            )
+    return names or known
+
+
+def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/", suffix: str = ".ipynb") -> str:
+    """The series as a Markdown table with a link to each notebook, ``folder`` and ``suffix`` around its name.
+
+    Columns of minutes appear for the budgets that any notebook was measured at.
+    """
+    entries = read() if entries is None else tuple(entries)
+    budgets = [budget for budget in ("smoke", "laptop", "full") if any(budget in e.minutes for e in entries)]
+    head = ["", "notebook", "what it shows", "of the paper", *(f"minutes, {budget}" for budget in budgets)]
+    lines = [_row(head), _row(["---:", "---", "---", "---", *["---:"] * len(budgets)])]
+    for entry in entries:
+        minutes = [f"{entry.minutes[budget]:.1f}" if budget in entry.minutes else "" for budget in budgets]
+        link = f"[{entry.title}]({folder}{entry.name}{suffix})"
+        lines.append(_row([entry.name[:2], link, entry.about, claims_text(entry.claims), *minutes]))
+    return "\n".join(lines)
+
+
+def claims_text(claims: Iterable[str]) -> str:
+    """Claims as people write them: "Figs. 5, 6, Table 1"."""
+    numbers: dict[str, list[str]] = {}
+    for claim in claims:
+        kind, number = claim.rsplit(" ", 1)
+        numbers.setdefault(kind, []).append(number)
+    plural = {"Fig.": "Figs.", "Table": "Tables", "Algorithm": "Algorithms"}
+    return ", ".join(f"{plural[kind] if len(of) > 1 else kind} {', '.join(of)}" for kind, of in numbers.items())
+
+
+def table_in(text: str) -> str | None:
+    """The table between the markers of a page such as the README; None without them."""
+    found = re.search(f"{re.escape(BEGIN)}\n(.*?)\n?{re.escape(END)}", text, re.DOTALL)
+    return found[1].strip() if found else None
+
+
+def put_table(text: str) -> str:
+    """A page with the table between its markers made anew. Raises ValueError where it has no markers."""
+    if table_in(text) is None:
+        raise ValueError(f"the page has no '{BEGIN}' … '{END}'.")
+    before, rest = text.split(BEGIN, 1)
+    return f"{before}{BEGIN}\n\n{table()}\n\n{END}{rest.split(END, 1)[1]}"
+
+
+def _row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    """Write the table into the README."""
+    readme = ROOT / "README.md"
+    readme.write_text(put_table(readme.read_text()))
+
+
+if __name__ == "__main__":
+    main()
