@@ -1,0 +1,57 @@
+"""Small finished runs for the explorer's tests: policies that were never trained, measures spread over the square."""
+
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from qdil.config import make_config, to_json
+from qdil.robots import brax_robots
+from qdil.search import networks
+
+CELLS = 5
+
+
+def policies(
+    count: int, env: str = "walker2d", hidden: tuple[int, ...] = (8, 8), seed: int = 0
+) -> dict[str, np.ndarray]:
+    robot = brax_robots.make(env)
+    keys = jax.random.split(jax.random.key(seed), count)
+    made = [networks.flatten(networks.init_policy(key, robot.obs_size, robot.action_size, hidden, 1.0)) for key in keys]
+    theta = np.array(made) * np.linspace(1, 40, count)[:, None]  # the mean action's last layer is small at first
+    shape = (count, robot.obs_size)
+    return {
+        "solution": theta.astype(np.float32),
+        "obs_mean": np.zeros(shape, np.float32),
+        "obs_std": np.ones(shape, np.float32),
+    }
+
+
+def archive(cells: list[int], seed: int = 0) -> dict[str, np.ndarray]:
+    """Elites in the middle of ``cells`` (numbers, ascending) of a CELLS × CELLS grid; returns tell them apart."""
+    index = np.array(cells, np.int32)
+    draw = np.random.default_rng(seed)
+    measures = (np.stack([index // CELLS, index % CELLS], axis=1) + 0.5) / CELLS
+    return {
+        "index": index,
+        "measures": measures.astype(np.float32),
+        "fitness": draw.uniform(0, 100, len(index)).astype(np.float32),
+        "true_return": (100 + 10.25 * index).astype(np.float32),
+        "length": np.full(len(index), 40, np.float32),
+        "cells": np.array([CELLS, CELLS]),
+    }
+
+
+def write(folder: Path, cells: list[int], method: str = "true", with_policies: bool = True, seed: int = 0) -> Path:
+    """A finished run in ``folder`` as ``qdil train`` would have left it."""
+    folder.mkdir(parents=True)
+    settings = to_json(make_config("walker2d", method, "smoke", 1))
+    settings |= {"actor_hidden": [8, 8], "episode_length": 60}
+    (folder / "config.json").write_text(json.dumps(settings))
+    (folder / "manifest.json").write_text("{}")
+    kept = archive(cells, seed)
+    np.savez(folder / "archive.npz", **kept)
+    if with_policies:
+        np.savez(folder / "policies.npz", index=kept["index"], **policies(len(cells), seed=seed))
+    return folder
