@@ -30,7 +30,7 @@ def join() -> None:
     if not all(number.isdecimal() for number in numbers):
         raise ConfigError(f"{VARIABLES[1]} and {VARIABLES[2]} must be numbers, not {' and '.join(numbers)}.")
     if not jax.distributed.is_initialized():
-        jax.distributed.initialize(address, *map(int, numbers))
+        jax.distributed.initialize(address, num_processes=int(numbers[0]), process_id=int(numbers[1]))
         wait_for_all("joined")  # to connect while all have just started; compilation later sets them minutes apart
 
 

@@ -14,7 +14,7 @@ def sources() -> dict[str, str]:
 
 
 def table(names: list[str], config: Config) -> pd.DataFrame:
-    """A row per setting: its value in ``config``, at ``full``, and what it is. Raises ConfigError for an unknown one."""
+    """A row per setting: its value in ``config``, at ``full``, what it is. Raises ConfigError for an unknown one."""
     said = sources()
     if unknown := [name for name in names if name not in said]:
         raise ConfigError(f"there is no setting '{unknown[0]}'.")
