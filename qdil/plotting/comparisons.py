@@ -54,6 +54,7 @@ def curves(panels: Mapping[str, pd.DataFrame], x_label: str, y_label: str, colum
             style |= {"marker": "o" if len(table) < 20 else None, "ms": 4}
             lines[str(name)] = ax.plot(table.index, table[name], **style)[0]
         ax.set(title=title, xlabel=x_label, ylabel=y_label if i % columns == 0 else "")
+        ax.locator_params(axis="x", integer=pd.api.types.is_integer_dtype(table.index))
         _plain(ax)
     titled = all(list(table.columns) == [title] for title, table in panels.items())
     if len(lines) > 1 and not titled:
@@ -71,7 +72,7 @@ def clouds(panels: Mapping[str, Mapping[str, Any]], x_label: str, y_label: str, 
     for ax, (title, groups) in zip(axes, panels.items(), strict=True):
         for (name, points), colour in zip(groups.items(), SERIES * len(groups), strict=False):
             at = np.asarray(points)
-            ax.scatter(at[:, 0], at[:, 1], s=14, color=colour, alpha=0.7, linewidths=0, label=name)
+            ax.scatter(at[:, 0], at[:, 1], s=20, color=colour, alpha=0.7, linewidths=0, label=name)
         ax.set(title=title, xlabel=x_label, ylabel=y_label, aspect="equal" if equal else "auto")
         _plain(ax)
     handles, labels = axes[0].get_legend_handles_labels()
