@@ -173,6 +173,7 @@ def test_the_lemma_is_judged_from_its_results_file(tmp_path):
         "humanoid": INCONCLUSIVE,
     }  # fmt: skip
     assert [env for env, v in judged.items() if v.beyond] == ["mdp-falls"]
+    assert "* **Lemma 1**: `lemma.json`, made at unknown." in claims.markdown(list(judged.values()), "laptop", tmp_path)
     assert "mdp-falls" not in {v.env for v in claims.judge(tmp_path) if v.claim.id != "C14"}
     assert judged["mdp"].findings[0].means == pytest.approx((0.1,)) and judged["mdp"].findings[0].seeds == (3,)
 
@@ -297,8 +298,8 @@ def test_the_kept_page_is_what_the_runs_that_it_names_say(tmp_path):
                 folder = folder_of(experiment, env, "laptop", int(seed), Path("results"))
                 assert folder in kept, f"results/claims.md names {folder}, which is not kept"
                 shutil.copytree(ROOT / folder, tmp_path / folder.relative_to("results"))
-    lemma = ROOT / "results" / "laptop" / "lemma.json"
-    if lemma.is_file():
-        shutil.copy(lemma, tmp_path / "laptop")
+    if "`lemma.json`" in page:
+        assert "results/laptop/lemma.json" in listed, "results/claims.md names lemma.json, which is not kept"
+        shutil.copy(ROOT / "results" / "laptop" / "lemma.json", tmp_path / "laptop")
     anew = claims.markdown(claims.judge(tmp_path), "laptop", tmp_path)
     assert page.split("## Runs")[0] == anew.split("## Runs")[0], "run 'qdil claims' to write results/claims.md anew"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from qdil import run
 from qdil.config import BUDGETS, ROBOTS, ConfigError
-from qdil.evidence import tables
+from qdil.evidence import provenance, tables
 from qdil.evidence.paper import METRICS
 from qdil.evidence.readings import READINGS
 from qdil.evidence.report import markdown, overview, plain, table, write
@@ -21,7 +21,7 @@ __all__ = ["CLAIMS", "Claim", "Verdict", "judge", "markdown", "overview", "plain
 
 MARGIN = 0.1  # of the reference: a loss up to this is "marginal", and as good "holds"
 NEAR_ALL = 0.9  # of the cells is "near 100 %": the paper says so of walker2d's 91.7 %
-LEMMA, LEMMA_EXPERIMENT, LEMMA_FILE = "probability", "one PPO iteration", "lemma.json"
+LEMMA, LEMMA_EXPERIMENT = "probability", "one PPO iteration"
 
 
 def _above(ours: str, against: str, *readings: str) -> tuple[Part, ...]:
@@ -84,8 +84,8 @@ CLAIMS = (
     Claim("C14", "One PPO improvement on 1[m ∈ A_e] does not lower P(m ∈ A_e | π)", "Lemma 1", ROBOTS,
           (Part("at least", LEMMA_EXPERIMENT, (), LEMMA),),
           "The probability after one iteration minus that before, a number per seed, exactly on small problems (mdp; "
-          "mdp-falls: episodes may end early, which the proof excludes) and by sampling on robots: its interval lies at "
-          "or above 0."),
+          "mdp-falls: episodes may end early, which the proof excludes) and by sampling on robots: its interval lies "
+          "at or above 0."),
     Claim("C15", "With the bonus, c₀ rises while cells are being found", "Appendix G", ROBOTS,
           (Part("more than", MCONBO, (), "c0_rise"), *_above(MCONBO, MCOND, "c0_rise")),
           "By how much |c₀| of the xNES mean moves in an iteration that fills new cells, on average (iterations that "
@@ -133,7 +133,7 @@ def judge(root: Path = run.RESULTS, budget: str = "laptop", envs: Sequence[str] 
     unknown = [env for env in robots if env not in ROBOTS]
     if unknown:
         raise ConfigError(f"unknown robot '{unknown[0]}'; choose one of {', '.join(ROBOTS)}.")
-    changes = _lemma(root / budget / LEMMA_FILE)
+    changes = _lemma(root / budget / provenance.LEMMA_FILE)
     values = {env: _values(env, budget, root) for env in robots}
     problems = dict.fromkeys((SMALL_MDP, *(name for name in changes if name not in ROBOTS)))
     values = {**{name: {} for name in problems}, **values}

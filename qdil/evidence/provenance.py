@@ -11,6 +11,7 @@ from qdil.config import to_json
 from qdil.evidence import tables
 from qdil.evidence.studies import config_of
 
+LEMMA_FILE = "lemma.json"  # the results of Lemma 1's experiments, beside a budget's runs
 SPEED_ALONE = ("eval_chunk", "eval_tile", "devices")  # settings that change how fast a run is, and not what it finds
 
 
@@ -31,15 +32,9 @@ def origin(experiment: str, folder: Path, env: str, budget: str) -> Origin:
     config, was = config_of(experiment, env, budget, seed), run.read_config(folder)
     today = to_json(config)
     other = (name for name in was if name in today and was[name] != today[name] and name not in SPEED_ALONE)
-    commit, *changed = str(manifest.get("commit", "unknown")).split(" ", 1)
     shown = manifest.get("demonstrations_sha256")
-    return Origin(
-        experiment,
-        seed,
-        " ".join([commit[:7], *changed]),
-        tuple(other),
-        (config.demo_episodes, shown) if shown else None,
-    )
+    demonstrations = (config.demo_episodes, shown) if shown else None
+    return Origin(experiment, seed, _short(manifest), tuple(other), demonstrations)
 
 
 def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root: Path = run.RESULTS) -> str:
@@ -50,7 +45,15 @@ def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root
         origins = [origin(name, folder, env, budget) for name, folders in runs.items() for folder in folders]
         if origins:
             lines.append(f"* **{env}**: " + " ".join([*_counts(origins), *_apart(origins)]))
+    if (lemma := root / budget / LEMMA_FILE).is_file():
+        lines.append(f"* **Lemma 1**: `{LEMMA_FILE}`, made at {_short(json.loads(lemma.read_text()))}.")
     return "\n".join(lines) or "None."
+
+
+def _short(made: dict[str, Any]) -> str:
+    """A commit's first seven digits, and whether the tree differed from it."""
+    commit, *changed = str(made.get("commit", "unknown")).split(" ", 1)
+    return " ".join([commit[:7], *changed])
 
 
 def _counts(origins: Sequence[Origin]) -> list[str]:
