@@ -74,7 +74,8 @@ def play(config: Mapping[str, Any], policies: Policies, seed: int = 0) -> list[R
     count = len(policies.theta)
     for first in range(0, count, BATCH):
         rows = np.minimum(np.arange(first, first + BATCH), count - 1)  # the last one fills up an unfinished batch
-        some = Policies(*(jnp.asarray(field, jnp.float32)[rows] for field in policies))
+        # Rows are taken by NumPy: it compiles nothing for another number of policies.
+        some = Policies(*(jnp.asarray(np.asarray(field, np.float32)[rows]) for field in policies))
         rollouts += _batch(player, some, int(config["episode_length"]), sizes.seconds, seed)[: count - first]
     return rollouts
 

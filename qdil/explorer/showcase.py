@@ -1,0 +1,40 @@
+"""Small copies of finished runs that are kept in the repository, so that robots walk before anything is trained."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from qdil import run
+from qdil.explorer import shown as showing
+from qdil.files import sha256, write_json, write_npz
+
+FOLDER = run.RESULTS / "showcase"
+
+
+def keep(folder: Path, root: Path = FOLDER) -> Path:
+    """Copy a finished run into ``root/<env>/<method>/seed-<n>`` with its policies in 16 bits; returns where it went.
+
+    Half the size, and a policy rounded so walks as it did, up to what another start state changes as well. The measures
+    of its demonstrators are kept beside it. Raises ConfigError for a run that is not finished or has no policies.
+    """
+    config, archive = run.read_config(folder), run.read_archive(folder, policies=True)
+    target = root / config["env"] / config["method"] / f"seed-{config['seed']}"
+    write_npz(target / "archive.npz", **{name: archive[name] for name in showing.NEEDED})
+    policies = {name: archive[name] for name in ("index", "obs_mean", "obs_std")}
+    write_npz(target / "policies.npz", **policies, solution=archive["solution"].astype(np.float16))
+    write_json(target / "config.json", config)
+    told = json.loads((folder / "manifest.json").read_text())
+    files = ("config.json", "archive.npz", "policies.npz")
+    told |= {"policies": "rounded to 16 bits for the showcase", "sha256": {n: sha256(target / n) for n in files}}
+    demonstrators = showing.read(folder)[0].demonstrators
+    if len(demonstrators):
+        write_npz(target.parent.parent / f"demos-{config['demo_episodes']}.npz", elite_measures=demonstrators)
+    write_json(target / "manifest.json", told)
+    return target
+
+
+def kept(env: str, root: Path = FOLDER) -> dict[str, Path]:
+    """The runs of a robot in the showcase, by method: the expert first, then those that imitate it."""
+    folders = {path.parent.parent.name: path.parent for path in sorted((root / env).glob("*/seed-*/manifest.json"))}
+    return dict(sorted(folders.items(), key=lambda one: (one[0] != "true", len(one[0]), one[0])))
