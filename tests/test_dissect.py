@@ -9,7 +9,6 @@ from scipy import stats
 from qdil import ppga
 from qdil.config import make_config
 from qdil.plotting import ppga as pictures
-from qdil.search import networks
 from qdil.search.evaluate import Policies
 from qdil.search.xnes import XNES, utilities
 from qdil.tools import dissect
@@ -50,15 +49,20 @@ def test_a_search_policy_is_followed_to_where_it_is(search):
     assert followed[["m1", "m2"]].iloc[2].tolist() == pytest.approx(last.measures[0].mean(axis=0).tolist())
 
 
-def test_an_episode_of_the_search_policy_is_whole_and_its_own(search):
-    steps = dissect.episode(search, seed=1)
-    assert len(steps["proxy"]) <= search.config.episode_length
-    assert (steps["terminated"] | steps["truncated"]).tolist() == [False] * (len(steps["proxy"]) - 1) + [True]
-    np.testing.assert_allclose(steps["episode_measures"][0], steps["proxy"].mean(axis=0), rtol=1e-5)
-    acted = networks.policy_mean(
-        search.state.learner.policy, search.state.stats, steps["obs"]
-    )  # smoke acts by the mean
-    np.testing.assert_allclose(steps["action"], np.clip(acted, -1, 1), atol=1e-4)
+def test_an_episode_of_the_search_policy_is_whole_and_changes_nothing(search):
+    before = jax.random.key_data(search.state.key)
+    proxy = dissect.episode(search)
+    assert 1 <= len(proxy) <= search.config.episode_length and proxy.shape[1] == 2
+    assert set(np.unique(proxy)) <= {0.0, 1.0}
+    np.testing.assert_array_equal(jax.random.key_data(search.state.key), before)
+    np.testing.assert_array_equal(dissect.episode(search), proxy)
+
+
+def test_a_whole_episode_lies_between_two_ends():
+    steps = np.arange(8)
+    assert steps[dissect.first_whole(np.array([0, 1, 0, 0, 1, 0, 1, 0]))].tolist() == [2, 3, 4]
+    with pytest.raises(ValueError, match="no whole episode"):
+        dissect.first_whole(np.array([0, 1, 0]))
 
 
 def test_comparison_gives_means_and_standard_errors():

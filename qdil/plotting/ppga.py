@@ -76,14 +76,13 @@ def candidates(
         limit = max(np.abs(values[:, i]).max(), 1e-9)
         low, colours = (0.0, "viridis") if i == 0 else (-limit, DIVERGING)
         drawn = ax.scatter(*measures.T, c=values[:, i], cmap=colours, vmin=low, vmax=limit, s=26, ec="0.4", lw=0.4)
-        ax.plot(*centre, "*", ms=17, mfc="white", mec="black", label="$\\theta_\\mu$")
+        ax.plot(*centre, "*", ms=17, mfc="white", mec="black")
         figure.colorbar(drawn, ax=ax, shrink=0.85).set_label(name)
         label_measures(ax, robot)
         ax.grid(color="0.92")
         ax.set_axisbelow(True)
         if i:
             ax.set_ylabel("")
-    axes[0].legend(frameon=False, loc="upper left")
     return figure
 
 

@@ -9,8 +9,7 @@ import pandas as pd
 
 from qdil import ppga
 from qdil.config import Config
-from qdil.imitation import demos
-from qdil.search import networks
+from qdil.search import archive, networks
 from qdil.search.evaluate import Policies
 from qdil.search.xnes import XNES
 
@@ -56,16 +55,29 @@ def search_policy(search: ppga.Search) -> jax.Array:
     return networks.flatten(search.state.learner.policy)
 
 
-def episode(search: ppga.Search, seed: int) -> dict[str, np.ndarray]:
-    """One whole episode of θ_μ, a row per step, in a demonstrations file's columns (see ``demos.record``)."""
-    config, parts, stats = search.config, search.compiled.parts, search.state.stats
-    theta = search_policy(search)
-    one = {
-        "solution": np.asarray(theta)[None],
-        "obs_mean": np.asarray(stats.mean)[None],
-        "obs_std": np.asarray(stats.std)[None],
-    }
-    return demos.record(parts.env, parts.like, one, jax.random.key(seed), config.episode_length, config.sample_actions)
+def episode(search: ppga.Search) -> np.ndarray:
+    """δ (T, k) of one whole episode of θ_μ as PPO sees it: actions sampled, the first robot's first whole episode.
+
+    The search goes nowhere: it plays, with the programs that it has compiled, and learns nothing.
+    """
+    config, state = search.config, search.state
+    occupied = jnp.asarray(archive.occupied(search.archives))
+    alone = jnp.tile(jnp.eye(search.compiled.parts.streams)[0], (search.compiled.parts.streams, 1))
+    proxy, ended = [], []
+    for _ in range(2 * config.episode_length // config.window + 1):  # long enough for two ends
+        played = search.compiled.train(state, occupied, alone, True, 1, 0)
+        state = played.state
+        proxy.append(np.asarray(played.transitions.proxy[:, 0]))
+        ended.append(np.asarray(played.transitions.ended[:, 0]))
+    return np.concatenate(proxy)[first_whole(np.concatenate(ended))]
+
+
+def first_whole(ended: np.ndarray) -> slice:
+    """Rows of the first whole episode, where ``ended`` (T,) marks last steps. Raises ValueError without two ends."""
+    ends = np.flatnonzero(ended)
+    if len(ends) < 2:
+        raise ValueError("there is no whole episode between two ends.")
+    return slice(int(ends[0]) + 1, int(ends[1]) + 1)
 
 
 def distribution(xnes: XNES) -> tuple[np.ndarray, np.ndarray]:
