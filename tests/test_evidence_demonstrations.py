@@ -70,3 +70,14 @@ def test_one_step_shows_its_own_numbers():
     table = demonstrations.one_step(demos, 4)
     assert table["numbers"].tolist() == [17, 6, 17, 2]
     assert table["the first of them"].iloc[3].split() == [f"{x:.2f}" for x in demos["proxy"][4]]
+
+
+def test_luck_compares_returns_and_places():
+    archive = {
+        "true_return": np.array([10.0, 30.0]),
+        "rescored_return": np.array([10.0, 20.0]),
+        "measures": np.array([[0.1, 0.2], [0.5, 0.5]]),
+        "rescored_measures": np.array([[0.4, 0.6], [0.5, 0.6]]),
+    }
+    table = demonstrations.luck({"walker2d": archive})
+    np.testing.assert_allclose(table.loc["walker2d"], [20.0, 15.0, -25.0, 0.3])

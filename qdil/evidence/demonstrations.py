@@ -75,6 +75,20 @@ def _spread(values: np.ndarray) -> str:
     return f"{values.mean():,.0f}" + (f" ± {values.std(ddof=1):,.0f}" if len(values) > 1 else "")
 
 
+def luck(archives: Mapping[str, Mapping[str, np.ndarray]]) -> pd.DataFrame:
+    """A row per archive: its average return as archived and over fresh episodes, and how far elites moved there.
+
+    The move is the median distance between an elite's measures and its fresh ones, in units of the behaviour space.
+    """
+    rows = {}
+    for name, archive in archives.items():
+        before, after = (float(archive[which].mean()) for which in ("true_return", "rescored_return"))
+        moved = np.linalg.norm(archive["measures"] - archive["rescored_measures"], axis=1)
+        rows[name] = [before, after, 100 * (after / before - 1), float(np.median(moved))]
+    columns = ["average, as archived", "average, scored again", "change, %", "move in behaviour space"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+
+
 def one_step(demos: Demos, row: int) -> pd.DataFrame:
     """What is stored of one step, a row per part: its shape and its first numbers."""
     says = {
