@@ -62,6 +62,16 @@ def test_coupling_draws_a_line_for_every_mass_as_wide_as_it_is_large():
     np.testing.assert_allclose(widths, widths[0])
 
 
+def test_demonstrators_stand_among_the_experts_elites():
+    rng = np.random.default_rng(0)
+    archive = {"measures": rng.random((9, 2)), "true_return": np.arange(9.0), "cells": [5, 2]}
+    chosen = {1: archive["measures"][8:], 2: archive["measures"][[8, 7]]}
+    one, two = comparisons.demonstrators(archive, chosen).axes
+    assert [len(c.get_offsets()) for c in two.collections] == [9, 2, 2] and one.get_title() == "1 demonstrator"
+    np.testing.assert_array_equal(two.collections[1].get_offsets(), archive["measures"][[8, 7]])
+    np.testing.assert_array_equal(one.collections[2].get_offsets(), chosen[1])
+
+
 def test_lines_over_demonstrations_have_points_in_order_and_coverage_in_percent():
     rows = [("gail", 4, "coverage", 0.5, 0.1), ("gail", 1, "coverage", 0.2, np.nan), ("gail", 1, "best", 7.0, np.nan)]
     table = pd.DataFrame(rows, columns=["method", "n_demos", "metric", "value", "spread"])
@@ -72,6 +82,8 @@ def test_lines_over_demonstrations_have_points_in_order_and_coverage_in_percent(
     bars = figure.axes[0].collections[0].get_segments()
     np.testing.assert_allclose([bar[:, 1] for bar in bars], [[20, 20], [40, 60]])
     assert list(figure.axes[1].lines[0].get_ydata()) == [7]
+    assert [bool(ax.get_title()) for ax in figure.axes] == [True, True, False, False]
+    assert (figure.axes[0].get_ylabel(), figure.axes[2].get_ylabel()) == ("ours", "theirs")
 
 
 def test_effects_have_their_intervals_in_the_rows_of_their_names():

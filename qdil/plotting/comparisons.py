@@ -8,8 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from qdil.imitation.demos import top_fifth
 from qdil.plotting.colours import method_colour
-from qdil.plotting.style import BLUE, GREEN, METRICS, RED, percent
+from qdil.plotting.style import BLUE, GREEN, METRICS, RED, label_measures, percent
 from qdil.registry import method_names
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's, in our order
@@ -104,6 +105,27 @@ def coupling(steps: Any, atoms: Any, taken: Any) -> Figure:
     return figure
 
 
+def demonstrators(archive: Mapping[str, Any], chosen: Mapping[int, Any], robot: str | None = None) -> Figure:
+    """A panel per number of demonstrators: where they stand (n, 2) among the elites of the expert's archive.
+
+    ``archive`` has ``true_return`` (N,), ``measures`` (N, 2) and ``cells`` (2,). Raises ValueError where there is
+    nothing to draw.
+    """
+    points = np.asarray(archive["measures"])
+    pool = top_fifth(np.asarray(archive["true_return"]), int(np.prod(archive["cells"])))
+    titles = [f"{n} demonstrator{'' if n == 1 else 's'}" for n in chosen]
+    figure, axes = _panels(titles, 4, height=3.7)
+    groups = [(points, "0.8", "o", 14, "expert's archive"), (points[pool], BLUE, "o", 14, "best fifth of the cells")]
+    for ax, title, where in zip(axes, titles, chosen.values(), strict=True):
+        for at, colour, marker, size, name in [*groups, (np.asarray(where), RED, "*", 150, "demonstrators")]:
+            ax.scatter(at[:, 0], at[:, 1], s=size, color=colour, marker=marker, label=name, clip_on=False)
+        label_measures(ax, robot)
+        ax.set(title=title, ylabel=ax.get_ylabel() if ax is axes[0] else "")
+        _plain(ax)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
 def by_demonstrations(tables: Mapping[str, pd.DataFrame], metrics: Sequence[str] = tuple(METRICS)) -> Figure:
     """A row per table, a panel per metric: the metric against the number of demonstrations (Fig. 13).
 
@@ -114,7 +136,7 @@ def by_demonstrations(tables: Mapping[str, pd.DataFrame], metrics: Sequence[str]
         raise ValueError("there is nothing to draw.")
     figure = Figure(figsize=(3.2 * len(metrics) + 0.8, 2.7 * len(tables) + 0.5), layout="constrained")
     grid = figure.subplots(len(tables), len(metrics), squeeze=False)
-    for axes, (title, table) in zip(grid, tables.items(), strict=True):
+    for row, (axes, (title, table)) in enumerate(zip(grid, tables.items(), strict=True)):
         for ax, metric in zip(axes, metrics, strict=True):
             scale = percent(metric)
             mine = table[table["metric"] == metric]
@@ -122,7 +144,7 @@ def by_demonstrations(tables: Mapping[str, pd.DataFrame], metrics: Sequence[str]
                 rows, colour = rows.sort_values("n_demos"), method_colour(str(method))
                 y, spread = scale * rows["value"], scale * rows["spread"].fillna(0)
                 ax.errorbar(rows["n_demos"], y, spread, color=colour, marker="o", capsize=3, label=str(method))
-            ax.set(title=METRICS[metric] if axes is grid[0] else "", xlabel="demonstrations")
+            ax.set(title=METRICS[metric] if row == 0 else "", xlabel="demonstrations")
             ax.set_xticks(sorted(mine["n_demos"].unique()))
             _plain(ax)
         axes[0].set_ylabel(title)
