@@ -126,7 +126,7 @@ def roll_out(shown: Shown, cells: Sequence[int], seed: int = 0) -> list[Rollout]
         if cell not in index:
             raise ConfigError(f"cell {cell} of '{shown.name}' is empty.")
     rows = [int(np.flatnonzero(index == cell)[0]) for cell in cells]
-    policies = Policies(*(np.asarray(shown.archive[name])[rows] for name in POLICY))
+    policies = Policies(*(np.asarray(shown.archive[name])[rows] for name in POLICY))  # type: ignore[arg-type]
     return rollouts.play(shown.config, policies, seed)
 
 

@@ -1,0 +1,35 @@
+"""What the explorer shows in colours, in numbers: archives against the first of them, and fitness against return."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import spearmanr
+
+
+def with_first(archives: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """A row for each archive: its filled cells, those of them that the first archive lacks, and true returns.
+
+    "better where both" is the percentage of shared cells with the higher return, "mean gap" the mean difference there
+    (reward units per episode). Archives as ``run.read_archive`` gives them, with equal grids.
+    """
+    first = next(iter(archives.values()))
+    rows = {}
+    for name, archive in archives.items():
+        _, i, j = np.intersect1d(archive["index"], first["index"], return_indices=True)
+        gap = np.asarray(archive["true_return"], float)[i] - np.asarray(first["true_return"], float)[j]
+        rows[name] = {
+            "cells": len(archive["index"]),
+            "not in the first": len(archive["index"]) - len(gap),
+            "better where both (%)": round(100 * float(np.mean(gap > 0))) if len(gap) else None,
+            "mean gap (reward)": round(float(np.mean(gap)), 1) if len(gap) else None,
+        }
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def rank_correlation(archives: Mapping[str, Mapping[str, Any]]) -> pd.Series:
+    """Spearman's correlation of learned fitness and true return over an archive's elites; needs two of them."""
+    several = {name: archive for name, archive in archives.items() if len(archive["index"]) > 1}
+    found = {name: spearmanr(one["fitness"], one["true_return"]).statistic for name, one in several.items()}
+    return pd.Series(found, name="rank correlation of learned fitness and true return").round(2)
