@@ -5,12 +5,14 @@ import functools
 import importlib
 import re
 import subprocess
+import tomllib
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
 
 import nbformat
 import pytest
+import yaml
 from IPython.core.inputtransformer2 import TransformerManager
 from nbformat.v4 import new_code_cell, new_notebook
 
@@ -293,3 +295,21 @@ def test_unknown_names_are_refused_and_doubled_ones_executed_once(series):
     assert index.chosen(["00_good", "00_good"], series) == ["00_good"]
     with pytest.raises(ConfigError, match="there is no notebook 'good'; choose from 00_good"):
         index.chosen(["good"], series)
+
+
+# What goes with the repository
+
+
+def test_every_direct_dependency_has_its_notice():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    table = (ROOT / "THIRD_PARTY.md").read_text()
+    named = {name for row in re.findall(r"^\| ([^|]+) \|", table, re.MULTILINE) for name in row.split(", ")}
+    assert {re.match(r"[\w-]+", line)[0] for line in asked} <= named
+
+
+def test_the_citation_file_reads_as_yaml_with_what_its_format_requires():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
