@@ -272,3 +272,18 @@ def test_comparison_counts_cells_and_gaps_by_hand():
     assert table.loc["a"].tolist() == [3, 0, 0, 0]
     assert table.loc["b"].tolist() == [3, 1, 50, 0.5]
     assert compare.rank_correlation({"a": first, "b": other}).tolist() == [-1, 1]
+
+
+def test_a_history_beside_the_archive_gives_the_widget_its_slider(tmp_path):
+    path = explorer_runs.write(tmp_path / "run", [6, 12])
+    assert len(qdil.explore(path, live=True).children[0].children) == 1  # the colour menu alone
+    improvements = {"iteration": np.array([1, 4, 9]), "index": np.array([6, 12, 12]), "true_return": np.arange(3.0)}
+    np.savez(path / "history.npz", **improvements, iterations=np.array(10))
+    explored = qdil.explore(path, live=True)
+    told = explored.view.show["runs"][0]["history"]
+    assert told == {"iteration": [1, 4, 9], "index": [6, 12, 12], "true_return": [0.0, 1.0, 2.0], "last": 10}
+    slider = explored.children[0].children[1].children[1]
+    slider.value = 4
+    assert explored.view.iteration == 4
+    slider.value = 10
+    assert explored.view.iteration == -1

@@ -31,7 +31,9 @@ class Shown(NamedTuple):
     config: Mapping[str, Any] | None  # the run's settings; None for an archive of unknown origin
     archive: Archive  # arrays as ``run.read_archive`` gives them, policies among them where they are there
     demonstrators: np.ndarray  # (d, 2) measures of the demonstrators
-    history: Mapping[str, np.ndarray] | None  # when cells were filled, see ``run.HISTORY``; None if it was not kept
+    # Accepted improvements in order: iteration, index and true_return (n,), and iterations (), how many the run had;
+    # from ``history.npz`` beside the archive. None if the run kept none.
+    history: Mapping[str, np.ndarray] | None
     why: str  # why robots cannot be shown; empty where they can
 
     @property
