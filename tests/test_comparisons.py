@@ -44,6 +44,12 @@ def test_panels_that_are_called_like_their_only_line_need_no_legend():
     assert not comparisons.curves(one, "x", "y").legends
 
 
+def test_shares_are_shown_from_zero():
+    table = {"share": pd.DataFrame({"gail": [97.0, 99.0]})}
+    assert comparisons.curves(table, "x", "y", from_zero=True).axes[0].get_ylim()[0] == 0
+    assert comparisons.curves(table, "x", "y").axes[0].get_ylim()[0] > 90
+
+
 def test_clouds_are_the_points():
     points = {"a": np.eye(2), "b": np.zeros((3, 2))}
     figure = comparisons.clouds({"left": points, "right": {"a": np.ones((1, 2))}}, "x", "y")

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdil.imitation.demos import top_fifth
-from qdil.plotting.colours import method_colour
+from qdil.plotting.colours import method_colour, styles
 from qdil.plotting.style import BLUE, GREEN, METRICS, RED, label_measures, percent
 from qdil.registry import method_names
 
@@ -39,10 +39,13 @@ def rewards_by_kind(rewards: Mapping[str, Mapping[str, Any]], columns: int = 4) 
     return figure
 
 
-def curves(panels: Mapping[str, pd.DataFrame], x_label: str, y_label: str, columns: int = 4) -> Figure:
+def curves(
+    panels: Mapping[str, pd.DataFrame], x_label: str, y_label: str, columns: int = 4, from_zero: bool = False
+) -> Figure:
     """A panel per title: the columns of a table as lines over its index, with one legend for all.
 
-    A column that is called like a method has that method's colour. Raises ValueError where there is nothing to draw.
+    A column that is called like a method has that method's colour. ``from_zero`` shows values from 0 on, for shares,
+    whose small changes should look small. Raises ValueError where there is nothing to draw.
     """
     figure, axes = _panels(list(panels), columns, height=3.1)
     names = list(dict.fromkeys(name for table in panels.values() for name in table.columns))
@@ -50,11 +53,14 @@ def curves(panels: Mapping[str, pd.DataFrame], x_label: str, y_label: str, colum
     for i, (ax, (title, table)) in enumerate(zip(axes, panels.items(), strict=True)):
         for name in table.columns:
             at = names.index(name)
-            colour = method_colour(str(name)) if name in method_names() else SERIES[at % len(SERIES)]
-            style: dict[str, Any] = {"color": colour, "ls": DASHES[at // len(SERIES) % len(DASHES)]}
+            style: dict[str, Any] = {"color": SERIES[at % len(SERIES)], "ls": DASHES[at // len(SERIES) % len(DASHES)]}
+            if name in method_names():
+                style = {key: value for key, value in styles([str(name)])[str(name)].items() if key in style}
             style |= {"marker": "o" if len(table) < 20 else None, "ms": 4}
             lines[str(name)] = ax.plot(table.index, table[name], **style)[0]
         ax.set(title=title, xlabel=x_label, ylabel=y_label if i % columns == 0 else "")
+        if from_zero:
+            ax.set_ylim(bottom=0)
         ax.locator_params(axis="x", integer=pd.api.types.is_integer_dtype(table.index))
         _plain(ax)
     titled = all(list(table.columns) == [title] for title, table in panels.items())
