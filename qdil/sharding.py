@@ -1,5 +1,6 @@
 """One mesh over all devices (CPU cores or GPUs, of one host or several) and the two layouts that arrays here have."""
 
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -51,4 +52,12 @@ def by_environment(mesh: Mesh) -> NamedSharding:
 
 def laid_out(tree: Any, sharding: NamedSharding) -> Any:
     """A tree of arrays that every host has whole, random keys among them, as arrays in the given layout."""
-    return jax.jit(lambda x: x, out_shardings=sharding)(tree)
+    if sharding.is_fully_addressable:
+        return jax.device_put(tree, sharding)
+    return _copy(sharding)(tree)  # random keys cannot be put where other hosts' devices are
+
+
+@lru_cache(maxsize=16)
+def _copy(sharding: NamedSharding) -> Any:
+    """A compiled function that does nothing but lay out; one per layout, so that it compiles once per shape."""
+    return jax.jit(lambda tree: tree, out_shardings=sharding)

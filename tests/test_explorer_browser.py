@@ -143,6 +143,7 @@ def test_keys_move_through_cells_and_an_empty_one_says_so(opened, runs):
     page.keyboard.press("b")
     assert labels(page)[0]["cell"] == str(BEST)
     page.keyboard.press(" ")
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")  # is drawn
     stopped = page.locator(".qdil-explorer").get_attribute("data-time")
     page.wait_for_timeout(300)
     assert page.locator(".qdil-explorer").get_attribute("data-time") == stopped

@@ -274,6 +274,18 @@ def test_a_bad_request_is_refused_in_a_line(series, capfd, arguments, named):
     assert named in said.err and said.err.count("\n") == 1 and not (series / "executed").exists()
 
 
+def test_noise_and_bulk_are_failures_and_the_copy_is_kept(tmp_path):
+    parameters = {"budget": "smoke", "env": "walker2d", "seed": 1}
+    (drafts := tmp_path / "drafts").mkdir()
+    for name, code, failure in (
+        ("00_noisy", "import warnings\nwarnings.warn('old')", "00_noisy, cell 3: on standard error: "),
+        ("01_bulky", "print('x' * 2_000_000)", "01_bulky: 2.0 MB of output; 2 MB is the limit"),
+    ):
+        target = tmp_path / "kept" / f"{name}.ipynb"
+        found = execute(write(tmp_path, name, code), target, drafts / f"{name}.ipynb", parameters, 120.0)
+        assert found.startswith(failure) and outputs_of(target)
+
+
 def test_a_notebook_has_a_limit_in_all_and_its_copy_is_kept(tmp_path):
     slow = write(tmp_path, "00_slow", "import time", "time.sleep(600)", "print('never')")
     parameters = {"budget": "smoke", "env": "walker2d", "seed": 1}

@@ -18,6 +18,7 @@ from qdil.files import replace_file, write_json
 ROOT = Path(__file__).parent.parent.parent
 KERNEL = "python3"  # ipykernel's own, which Jupyter starts with the interpreter that runs this
 QUIET = ["--IPKernelApp.log_level=50"]  # the kernel's remarks about its own transport and shutdown help nobody here
+LARGEST = 2_000_000  # bytes of an executed copy
 PARAMETERS = ("budget", "env", "seed")  # what every notebook is given
 
 
@@ -38,8 +39,9 @@ def check_parameters(source: Path) -> None:
 def execute(source: Path, target: Path, draft: Path, parameters: Mapping[str, Any], limit: float) -> str | None:
     """Execute one notebook within ``limit`` seconds; what went wrong, as "NAME, cell N: ErrorName: message", or None.
 
-    N is the number in the executed copy's ``In [N]``. The copy grows at ``draft``, cell by cell, and moves to
-    ``target`` at the end, also where a cell failed.
+    N is the number in the executed copy's ``In [N]``. Output on standard error and a copy above ``LARGEST`` count as
+    going wrong, too. The copy grows at ``draft``, cell by cell, and moves to ``target`` at the end, also where a cell
+    failed.
     """
     end = time.monotonic() + limit
     name, seconds_left = source.stem, lambda cell: max(end - time.monotonic(), 0.001)
@@ -54,7 +56,7 @@ def execute(source: Path, target: Path, draft: Path, parameters: Mapping[str, An
             extra_arguments=QUIET,
             timeout_func=seconds_left,  # asked before each cell: a limit for the whole notebook
         )
-        return None
+        return _complaint(draft)
     except PapermillExecutionError as error:
         return f"{name}, cell {error.exec_count}: {error.ename}: {_first_line(error.evalue)}"
     except TimeoutError:
@@ -79,6 +81,16 @@ def reached(draft: Path) -> int:
     """The number of the last cell that was begun; 0 if none was."""
     cells = nbformat.read(draft, as_version=4).cells if draft.is_file() else []
     return sum(cell.cell_type == "code" and bool(cell.metadata.papermill.get("start_time")) for cell in cells)
+
+
+def _complaint(draft: Path) -> str | None:
+    """What a reader should not find in an executed notebook: warnings on standard error, megabytes of output."""
+    for cell in nbformat.read(draft, as_version=4).cells:
+        for output in cell.get("outputs", []):
+            if output.get("name") == "stderr":
+                return f"{draft.stem}, cell {cell.execution_count}: on standard error: {_first_line(output.text)}"
+    size = draft.stat().st_size
+    return f"{draft.stem}: {size / 1e6:.1f} MB of output; {LARGEST / 1e6:g} MB is the limit" if size > LARGEST else None
 
 
 def _keep(draft: Path, source: Path, target: Path) -> None:
