@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Mapping
@@ -121,6 +122,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--minutes", type=float, required=True, help="limit for the whole notebook")
     args = parser.parse_args(argv)
+    os.environ["QDIL_EXPLORER"] = "page"  # no widget survives in a copy, also where this is started inside Jupyter
     source, begin = args.source.resolve(), time.monotonic()
     draft = args.scratch / source.name
     parameters = {name: getattr(args, name) for name in PARAMETERS}
