@@ -22,6 +22,7 @@ from qdil.errors import ConfigError
 from qdil.files import replace_file
 from qdil.ppga import Search
 from qdil.search import archive
+from qdil.search.history import History, none_yet
 from qdil.sharding import laid_out
 
 FOLDER = "checkpoint"
@@ -29,7 +30,7 @@ KEPT = 2
 
 
 class Progress(NamedTuple):
-    """How far a run is; plain values."""
+    """How far a run is, and what it has told so far."""
 
     warmed: int = 0  # warm-up updates done
     iteration: int = 0  # QD iterations done
@@ -37,6 +38,7 @@ class Progress(NamedTuple):
     restarts: float = 0.0
     seconds: float = 0.0  # wall time spent, interruptions not counted
     rows: tuple[dict[str, float], ...] = ()  # of metrics.csv
+    history: History = none_yet()  # of history.npz
 
 
 def save(run_folder: Path, search: Search, progress: Progress, demos_sha256: str | None) -> None:
@@ -44,8 +46,9 @@ def save(run_folder: Path, search: Search, progress: Progress, demos_sha256: str
     leaves = [_to_numpy(leaf) for leaf in jax.tree.leaves(search.state)]
     if not hosts.is_first():
         return
+    plain = {name: value for name, value in progress._asdict().items() if name != "history"}
     told = {
-        "progress": progress._asdict(),
+        "progress": plain,
         "demos_sha256": demos_sha256,
         "xnes": search.xnes.rng.bit_generator.state,
         "rng": search.rng.bit_generator.state,
@@ -53,6 +56,7 @@ def save(run_folder: Path, search: Search, progress: Progress, demos_sha256: str
     arrays = {f"state/{i}": leaf for i, leaf in enumerate(leaves)}
     arrays |= {f"soft/{name}": values for name, values in archive.content(search.archives.soft).items()}
     arrays |= {f"result/{name}": values for name, values in archive.content(search.archives.result).items()}
+    arrays |= {f"history/{name}": values for name, values in progress.history._asdict().items()}
     arrays |= {
         "xnes/mean": search.xnes.mean,
         "xnes/shape": search.xnes.shape,
@@ -90,7 +94,8 @@ def _restore(
         raise ConfigError(f"{path.parent.parent} was begun with other demonstrations; choose another --out.")
     template, tree = jax.tree.flatten(search.state)
     leaves = [arrays[name] for name in sorted((n for n in arrays if n.startswith("state/")), key=_number)]
-    if [_to_numpy(leaf).shape for leaf in template] != [leaf.shape for leaf in leaves]:
+    same_shapes = [_to_numpy(leaf).shape for leaf in template] == [leaf.shape for leaf in leaves]
+    if not same_shapes or "history/cell" not in arrays:
         raise ConfigError(f"{path} is of another version of qdil; remove its folder to train anew.")
     state = jax.tree.unflatten(tree, [_like(old, new) for old, new in zip(template, leaves, strict=True)])
     for name, one in search.archives._asdict().items():
@@ -98,8 +103,9 @@ def _restore(
     xnes = search.xnes
     xnes.mean, xnes.shape, xnes.sigma = arrays["xnes/mean"], arrays["xnes/shape"], float(arrays["xnes/sigma"])
     xnes.rng.bit_generator.state, search.rng.bit_generator.state = told["xnes"], told["rng"]
-    progress = Progress(**told["progress"])
-    return search._replace(state=state), progress._replace(rows=tuple(progress.rows))
+    rows = tuple(told["progress"].pop("rows"))
+    past = History(*(arrays[f"history/{name}"] for name in History._fields))
+    return search._replace(state=state), Progress(**told["progress"], rows=rows, history=past)
 
 
 def exists(run_folder: Path) -> bool:

@@ -12,7 +12,7 @@ from qdil.files import sha256, write_json
 from qdil.ppga import Search
 
 PACKAGES = ("jax", "jaxlib", "brax", "mujoco", "mujoco-mjx", "ribs", "optax", "numpy")
-HASHED = ("config.json", "metrics.csv", "archive.npz", "policies.npz")
+HASHED = ("config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz")
 
 
 def _now() -> str:

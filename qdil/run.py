@@ -1,4 +1,4 @@
-"""A run as a folder: trains a configuration and writes config, metrics, archive, policies and manifest."""
+"""A run as a folder: trains a configuration and writes config, metrics, history, archive, policies and manifest."""
 
 import json
 import time
@@ -16,7 +16,8 @@ from qdil.config import Config, ConfigError, from_json, make_config, to_json
 from qdil.files import sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
 from qdil.registry import bases, parse_method
-from qdil.search import archive
+from qdil.search import archive, history
+from qdil.search.history import History
 
 RESULTS = Path("results")
 ARCHIVE_FIELDS = ("index", "measures", "fitness", "true_return", "length")
@@ -71,10 +72,11 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     with checkpoint.locked(folder) if first else nullcontext():
         if first:
             write_json(folder / "config.json", to_json(config))
-        search, seconds = _iterations(search, folder, sha256(demos_file) if demos_file else None, report)
+        search, past, seconds = _iterations(search, folder, sha256(demos_file) if demos_file else None, report)
         again = ppga.reevaluate(search, jax.random.fold_in(jax.random.key(config.seed), 1))
         if first:
             _write_archive(search, again, folder)
+            _write_history(past, config.iterations, folder)
             manifest.write(search, folder, begun, seconds, demos_file)
             checkpoint.remove(folder)
     return True
@@ -101,10 +103,10 @@ def _check_demonstrations(folder: Path, demos_file: Path | None) -> None:
 
 def _iterations(
     search: ppga.Search, folder: Path, demos_sha256: str | None, report: Report | None
-) -> tuple[ppga.Search, float]:
+) -> tuple[ppga.Search, History, float]:
     """What is left of the warm-up and of the QD iterations, with ``metrics.csv`` and a checkpoint kept up to date.
 
-    Returns the seconds that all of the run took, interruptions not counted, too.
+    Returns the archive's history and the seconds that all of the run took, interruptions not counted, too.
     """
     config = search.config
     search, now = checkpoint.load(folder, search, demos_sha256) or (search, Progress())
@@ -122,20 +124,22 @@ def _iterations(
                 env_steps=now.env_steps + info.pop("steps"),
                 restarts=now.restarts + info.pop("restarts"),
             )
+            elites = archive.returns(search.archives)
             row = {
                 "iteration": now.iteration,
                 "env_steps": int(now.env_steps),
                 "wall_seconds": round(time.monotonic() - began, 3),
-                **archive.metrics(archive.elite_arrays(search.archives), cells),
+                **archive.metrics(elites, cells),
                 "restarts": int(now.restarts),
                 **info,
             }
-            now = now._replace(rows=(*now.rows, row))
+            past = history.grown(now.history, now.iteration, elites, cells)
+            now = now._replace(rows=(*now.rows, row), history=past)
             if report is not None:
                 report(search, row)
         now = now._replace(seconds=time.monotonic() - began)
         saving(search, now, last=now.iteration == config.iterations)
-    return search, now.seconds
+    return search, now.history, now.seconds
 
 
 class _Saving:
@@ -161,6 +165,12 @@ def _write_archive(search: ppga.Search, again: dict[str, np.ndarray], folder: Pa
     cells = np.asarray(search.archives.result.dims)
     write_npz(folder / "archive.npz", **{name: elites[name] for name in ARCHIVE_FIELDS}, **again, cells=cells)
     write_npz(folder / "policies.npz", **{name: elites[name] for name in POLICY_FIELDS})
+
+
+def _write_history(past: History, iterations: int, folder: Path) -> None:
+    """``index`` names cells as in ``archive.npz``; ``iterations`` is how many there were."""
+    arrays = {name: values for name, values in past._asdict().items() if name != "cell"}
+    write_npz(folder / "history.npz", **arrays, index=past.cell, iterations=np.array(iterations))
 
 
 def read_config(folder: Path) -> dict[str, Any]:

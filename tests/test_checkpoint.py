@@ -17,7 +17,7 @@ from qdil import checkpoint, ppga, run
 from qdil.checkpoint import Progress
 from qdil.config import ConfigError, make_config
 from qdil.files import sha256
-from qdil.search import archive
+from qdil.search import archive, history
 
 CONFIG = make_config("walker2d", "true", "smoke", iterations=4)
 
@@ -56,12 +56,12 @@ def interrupted(tmp_path) -> Path:
 
 
 def same_run(one: Path, other: Path) -> bool:
-    """The same archive, byte for byte, and the same metrics but for the clock."""
+    """The same archive and its history, byte for byte, and the same metrics but for the clock."""
     rows = [np.genfromtxt(f / "metrics.csv", delimiter=",", names=True) for f in (one, other)]
     columns = [name for name in rows[0].dtype.names if name != "wall_seconds"]
     for name in columns:
         np.testing.assert_array_equal(rows[0][name], rows[1][name])
-    return sha256(one / "archive.npz") == sha256(other / "archive.npz")
+    return all(sha256(one / name) == sha256(other / name) for name in ("archive.npz", "history.npz"))
 
 
 def test_a_resumed_run_ends_as_if_nothing_had_happened(interrupted, uninterrupted):
@@ -157,9 +157,14 @@ def test_what_is_loaded_is_what_was_saved(tmp_path):
     """Every leaf, both grids with their thresholds, both generators."""
     config = make_config("walker2d", "true", "smoke", archive_learning_rate=0.3)
     search, _ = ppga.iteration(ppga.begin(config, None))
-    checkpoint.save(tmp_path, search, Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},)), None)
+    returns = archive.returns(search.archives)
+    past = history.grown(history.none_yet(), 1, returns, int(search.archives.result.cells))
+    checkpoint.save(tmp_path, search, Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), past), None)
     loaded, progress = checkpoint.load(tmp_path, ppga.begin(config, None), None)
-    assert progress == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},))
+    assert progress._replace(history=None) == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), None)
+    assert len(past.cell) > 0
+    for mine, theirs in zip(past, progress.history, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
     for mine, theirs in zip(jax.tree.leaves(search.state), jax.tree.leaves(loaded.state), strict=True):
         assert mine.dtype == theirs.dtype and mine.sharding == theirs.sharding and mine.committed == theirs.committed
         np.testing.assert_array_equal(checkpoint._to_numpy(mine), checkpoint._to_numpy(theirs))

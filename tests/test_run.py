@@ -13,9 +13,10 @@ from qdil.cli import main
 from qdil.config import make_config
 from qdil.files import sha256
 from qdil.imitation import demos as demonstrations
+from qdil.search import history
 from qdil.tools import plan, verify
 
-FILES = {"config.json", "metrics.csv", "archive.npz", "policies.npz", "manifest.json"}
+FILES = {"config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz", "manifest.json"}
 
 
 def qdil(*words: object) -> int:
@@ -63,6 +64,22 @@ def test_the_expert_is_filled_by_true_returns_and_imitators_by_learned_ones(made
     expert, imitator = run.read_archive(made / "true"), run.read_archive(made / "gail")
     np.testing.assert_array_equal(expert["fitness"], expert["true_return"])
     assert not np.allclose(imitator["fitness"], imitator["true_return"])
+
+
+@pytest.mark.parametrize("method", ["true", "gail"])
+def test_the_history_of_a_run_ends_in_its_archive(made, method):
+    elites = run.read_archive(made / method)
+    with np.load(made / method / "history.npz", allow_pickle=False) as file:
+        told = dict(file)
+    cells = int(np.prod(elites["cells"]))
+    past = history.History(told["iteration"], told["index"], told["true_return"], told["fitness"])
+    for name, grid in history.at(past, int(told["iterations"]), cells).items():
+        np.testing.assert_array_equal(grid[elites["index"]], elites[name])
+        assert np.isfinite(grid).sum() == len(elites["index"])
+    rows = np.genfromtxt(made / method / "metrics.csv", delimiter=",", names=True)
+    for row in rows:
+        grid = history.at(past, int(row["iteration"]), cells)["true_return"]
+        assert np.isfinite(grid).sum() / cells == pytest.approx(row["coverage"])
 
 
 def test_demonstrations_are_whole_episodes_of_the_chosen_elites(made):

@@ -1,6 +1,7 @@
 """Small copies of finished runs that are kept in the repository, so that robots walk before anything is trained."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,10 @@ def keep(folder: Path, root: Path = FOLDER) -> Path:
     write_npz(target / "policies.npz", **policies, solution=archive["solution"].astype(np.float16))
     write_json(target / "config.json", config)
     told = json.loads((folder / "manifest.json").read_text())
-    files = ("config.json", "archive.npz", "policies.npz")
+    files = ["config.json", "archive.npz", "policies.npz"]
+    if (folder / "history.npz").is_file():
+        shutil.copyfile(folder / "history.npz", target / "history.npz")
+        files.append("history.npz")
     told |= {"policies": "rounded to 16 bits for the showcase", "sha256": {n: sha256(target / n) for n in files}}
     demonstrators = showing.read(folder)[0].demonstrators
     if len(demonstrators):

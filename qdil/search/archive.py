@@ -94,6 +94,14 @@ def elite_arrays(archives: Archives) -> dict[str, np.ndarray]:
     return {name: np.asarray(values)[order] for name, values in {**same, **renamed}.items()}
 
 
+def returns(archives: Archives) -> dict[str, np.ndarray]:
+    """``index``, ``true_return`` and ``fitness`` of ``elite_arrays``, without copying any policy."""
+    names = {"index": "index", "true_return": "true_return", "objective": "fitness"}
+    data = archives.result.data(list(names), return_type="dict")
+    order = np.argsort(data["index"])
+    return {name: np.asarray(data[field])[order] for field, name in names.items()}
+
+
 def content(grid: GridArchive) -> dict[str, np.ndarray]:
     """All that a grid holds, thresholds included, a row per filled cell in order of cell index."""
     data = grid.data(return_type="dict")
