@@ -297,12 +297,9 @@ def test_clipping_is_measured_from_what_the_critic_said():
     choice = Choice(steps.action, steps.reward)
     rewards = jnp.full((16, 4, K), 7.0)
 
-    def prepare(learner):
-        weights = jnp.ones(K)
-        return vppo._prepare(learner, steps, choice, rewards, weights, jnp.array(True), init_obs_stats(1), SETTINGS)
-
     def run(learner):
-        return jax.vmap(prepare, axis_name=vppo.COPIES)(learner)
+        window = jax.tree.map(lambda x: x[None], (steps, choice, rewards))
+        return vppo._prepare(learner, *window, jnp.ones((1, K)), jnp.array(True), init_obs_stats(1), SETTINGS)
 
     sharded = jax.shard_map(run, mesh=make_mesh(1), in_specs=P(), out_specs=P(), check_vma=False)
     after, batch = jax.jit(sharded)(vppo.fork(learner, 1))

@@ -9,7 +9,8 @@ with a head per stream (fitness, δ_1 … δ_k). Advantages are linear in the re
 is the weighted sum over heads, and the walk's critic stays valid when xNES changes the weights.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +23,6 @@ from qdil.search.normalise import ReturnStats, init_return_stats, normalise_obs,
 from qdil.search.rollout import Act, Actors, window
 from qdil.sharding import AXIS
 from qdil.types import Choice, ObsStats, Params, Transitions
-
-COPIES = "copies"
 
 
 class Settings(NamedTuple):
@@ -151,9 +150,23 @@ def loss(
 
 
 def _across(x: jax.Array, tied: jax.Array) -> jax.Array:
-    """Mean over the devices, and over the copies too where they are tied. Inside ``vmap(axis_name=COPIES)``."""
+    """Mean of (K, …) over the devices, and over the copies too where they are tied."""
     x = jax.lax.pmean(x, AXIS)
-    return jnp.where(tied, jax.lax.pmean(x, COPIES), x)
+    return jnp.where(tied, sum(x) / len(x), x)  # a sum of rows: XLA's reduction over so few is slow on a CPU
+
+
+def _judge(
+    learner: Learner, transitions: Transitions, rewards: jax.Array, stats: ObsStats, settings: Settings
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """One copy's window: observations, normalised; the critic's output there; advantages; returns."""
+    obs = normalise_obs(stats, transitions.obs)
+    scale = learner.returns
+    said = networks.mlp(learner.critic, obs)
+    next_said = networks.mlp(learner.critic, normalise_obs(stats, transitions.next_obs))
+    values, next_values = said * scale.std + scale.mean, next_said * scale.std + scale.mean
+    ends = transitions.terminated[..., None].astype(jnp.float32), transitions.truncated[..., None].astype(jnp.float32)
+    advantages = gae(rewards, values, next_values, *ends, settings.gamma, settings.lam)
+    return obs, said, advantages, advantages + values
 
 
 def _prepare(
@@ -166,50 +179,56 @@ def _prepare(
     stats: ObsStats,
     settings: Settings,
 ) -> tuple[Learner, Batch]:
-    """Advantages and return targets of one copy's window; moves its return statistics."""
-    obs = normalise_obs(stats, transitions.obs)
-    before = learner.returns
-    said = networks.mlp(learner.critic, obs)
-    values = said * before.std + before.mean
-    next_said = networks.mlp(learner.critic, normalise_obs(stats, transitions.next_obs))
-    next_values = next_said * before.std + before.mean
-    ends = transitions.terminated[..., None].astype(jnp.float32), transitions.truncated[..., None].astype(jnp.float32)
-    advantages = gae(rewards, values, next_values, *ends, settings.gamma, settings.lam)
-    returns = advantages + values
-    mean = _across(jnp.mean(returns, axis=(0, 1)), tied)
-    square = _across(jnp.mean(jnp.square(returns), axis=(0, 1)), tied)
-    after = update_return_stats(before, mean, square)
-    target = (returns - after.mean) / after.std
+    """Advantages and return targets of all copies' windows (K, T, E/K, …); moves their return statistics."""
+    judge = jax.vmap(_judge, in_axes=(0, 0, 0, None, None))
+    obs, said, advantages, returns = judge(learner, transitions, rewards, stats, settings)
+    mean = _across(jnp.mean(returns, axis=(1, 2)), tied)
+    square = _across(jnp.mean(jnp.square(returns), axis=(1, 2)), tied)
+    after = jax.vmap(update_return_stats)(learner.returns, mean, square)
+    target = (returns - after.mean[:, None, None]) / after.std[:, None, None]
+    advantage = jnp.einsum("ktes,ks->kte", advantages, weights)
     # Clipping is to limit how far the critic moves, so it is measured from the critic's own output, before the shift.
-    return learner._replace(returns=after), Batch(obs, choice, advantages @ weights, target, said)
+    return learner._replace(returns=after), Batch(obs, choice, advantage, target, said)
 
 
 def _minibatch_step(
     learner: Learner, active: jax.Array, batch: Batch, tied: jax.Array, settings: Settings
 ) -> tuple[Learner, jax.Array]:
-    """One gradient step of one copy (nothing moves where it is not ``active``); returns its KL too."""
-    grads, (approx_kl, _) = jax.grad(loss, argnums=(0, 1), has_aux=True)(
-        learner.policy, learner.critic, batch, settings
-    )
-    together, separate = ravel_pytree((grads, approx_kl))  # one vector, so that one message crosses the devices
+    """One gradient step of all copies (none where a copy is not ``active``); returns their KL (K,) too."""
+
+    def gradients(policy: Params, critic: Params, batch: Batch) -> tuple[tuple[Params, Params], jax.Array]:
+        grads, (approx_kl, _) = jax.grad(loss, argnums=(0, 1), has_aux=True)(policy, critic, batch, settings)
+        return grads, approx_kl
+
+    def step(learner: Learner, grads: tuple[Params, Params], active: jax.Array) -> Learner:
+        opt = optimiser(settings)
+        policy_step, policy_opt = opt.update(grads[0], learner.policy_opt)
+        critic_step, critic_opt = opt.update(grads[1], learner.critic_opt)
+        moved = Learner(
+            optax.apply_updates(learner.policy, policy_step),
+            optax.apply_updates(learner.critic, critic_step),
+            policy_opt,
+            critic_opt,
+            learner.returns,
+        )
+        return jax.tree.map(lambda new, old: jnp.where(active, new, old), moved, learner)
+
+    mine = jax.vmap(gradients)(learner.policy, learner.critic, batch)
+    together, separate = _as_rows(mine)  # one message crosses the devices
     grads, approx_kl = separate(_across(together, tied))
-    opt = optimiser(settings)
-    policy_step, policy_opt = opt.update(grads[0], learner.policy_opt)
-    critic_step, critic_opt = opt.update(grads[1], learner.critic_opt)
-    moved = Learner(
-        optax.apply_updates(learner.policy, policy_step),
-        optax.apply_updates(learner.critic, critic_step),
-        policy_opt,
-        critic_opt,
-        learner.returns,
-    )
-    return jax.tree.map(lambda new, old: jnp.where(active, new, old), moved, learner), approx_kl
+    return jax.vmap(step)(learner, grads, active), approx_kl
+
+
+def _as_rows(tree: Any) -> tuple[jax.Array, Callable[[jax.Array], Any]]:
+    """A tree with axis (K) in front of every leaf as one matrix, a row per copy; and the way back."""
+    back = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], tree))[1]
+    return jax.vmap(lambda one: ravel_pytree(one)[0])(tree), jax.vmap(back)
 
 
 def _normalised(advantage: jax.Array, tied: jax.Array) -> jax.Array:
-    """Advantages (M, T/M, E/K) of one copy, to zero mean and unit deviation within each minibatch."""
-    moments = jnp.stack([jnp.mean(advantage, axis=(1, 2)), jnp.mean(jnp.square(advantage), axis=(1, 2))])
-    mean, square = _across(moments, tied)[:, :, None, None]
+    """Advantages (M, K, T/M, E/K), each copy's to zero mean and unit deviation within each minibatch."""
+    moments = jnp.stack([jnp.mean(advantage, axis=(2, 3)), jnp.mean(jnp.square(advantage), axis=(2, 3))], axis=-1)
+    mean, square = jnp.moveaxis(_across(moments.swapaxes(0, 1), tied), -1, 0).swapaxes(1, 2)[..., None, None]
     return (advantage - mean) * jax.lax.rsqrt(jnp.maximum(square - jnp.square(mean), 0.0) + 1e-8)
 
 
@@ -233,18 +252,12 @@ def _learn(
     """Up to ``epochs`` passes over the window; a copy whose mean KL passes the target stops there."""
     copies, length = batch.advantage.shape[:2]
 
-    def one_step(learner: Learner, active: jax.Array, batch: Batch) -> tuple[Learner, jax.Array]:
-        return _minibatch_step(learner, active, batch, tied, settings)
-
-    step = jax.vmap(one_step, axis_name=COPIES)
-
     def epoch(carry):
         i, learner, active, _, key = carry
         key, order_key = jax.random.split(key)
         parts = _shuffled(batch, jax.random.permutation(order_key, length), settings.minibatches)
-        normalised = jax.vmap(lambda a: _normalised(a, tied), in_axes=1, out_axes=1, axis_name=COPIES)
-        parts = parts._replace(advantage=normalised(parts.advantage))
-        learner, kl = jax.lax.scan(lambda le, part: step(le, active, part), learner, parts)
+        parts = parts._replace(advantage=_normalised(parts.advantage, tied))
+        learner, kl = jax.lax.scan(lambda le, part: _minibatch_step(le, active, part, tied, settings), learner, parts)
         kl = jnp.mean(kl, axis=0)
         return i + 1, learner, active & (kl <= settings.target_kl), kl, key
 
@@ -286,12 +299,8 @@ def learn(
     """
     copies = weights.shape[0]
     streams = jnp.concatenate([fitness[..., None], transitions.proxy], axis=-1)
-    mine = jax.tree.map(lambda x: to_copies(x, copies, axis=1), (transitions, choice, streams))
-
-    def prepare(learner: Learner, mine: tuple[Transitions, Choice, jax.Array], weights: jax.Array):
-        return _prepare(learner, *mine, weights, tied, stats, settings)
-
-    learner, batch = jax.vmap(prepare, axis_name=COPIES)(learner, mine, weights)
+    dealt, choice, streams = jax.tree.map(lambda x: to_copies(x, copies, axis=1), (transitions, choice, streams))
+    learner, batch = _prepare(learner, dealt, choice, streams, weights, tied, stats, settings)
     learner, kl = _learn(learner, batch, key, tied, epochs, settings)
     info = {
         "approx_kl": jnp.mean(kl),
