@@ -36,8 +36,8 @@ sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d studie
 site: $(VENV)/.installed  ## the executed notebooks as web pages in build/site (SITE=smoke, laptop or full: that budget's)
 	$(RUN) -m qdil.series.site $(if $(SITE),--budget $(SITE))
 
-contents: $(VENV)/.installed  ## write the table of notebooks into README.md, from notebooks/index.toml
-	$(RUN) -m qdil.series.index
+contents: $(VENV)/.installed  ## write the README's tables: of notebooks, verdicts and kept runs
+	$(RUN) -m qdil.series.readme
 
 lock:  ## resolve the pinned, hashed environment anew (needs uv)
 	uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \

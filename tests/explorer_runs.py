@@ -55,3 +55,14 @@ def write(folder: Path, cells: list[int], method: str = "true", with_policies: b
     if with_policies:
         np.savez(folder / "policies.npz", index=kept["index"], **policies(len(cells), seed=seed))
     return folder
+
+
+def growing(count: int) -> dict[str, list[float]]:
+    """Made-up returns of elites that took their cells one after the other."""
+    return {"true_return": [10.5 * i for i in range(count)], "fitness": [2.0 * i for i in range(count)]}
+
+
+def write_history(folder: Path, iteration: list[int], index: list[int], last: int) -> None:
+    """``history.npz`` of a run of ``last`` iterations, with ``growing`` returns."""
+    made = {name: np.array(values) for name, values in growing(len(index)).items()}
+    np.savez(folder / "history.npz", iteration=iteration, index=index, **made, iterations=last)

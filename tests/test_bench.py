@@ -1,6 +1,8 @@
 """The arithmetic of ``qdil bench``; the measurements themselves only where whole runs are allowed."""
 
 import json
+import os
+import threading
 
 import pytest
 
@@ -58,3 +60,23 @@ def test_all_promised_figures_are_measured(capsys):
     promised |= {"cold_start_seconds", "warm_start_seconds", "peak_memory_mb", "full_networks_over_floor"}
     assert promised <= set(row) and all(value > 0 for value in row.values())
     assert row["warm_start_seconds"] < row["cold_start_seconds"]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="threads cannot be held to a core here")
+def test_one_core_means_every_thread_and_only_for_the_turn():
+    waiting = threading.Event()
+    other = threading.Thread(target=waiting.wait)
+    other.start()
+
+    def cores() -> tuple[set[int], set[int]]:
+        return os.sched_getaffinity(0), os.sched_getaffinity(other.native_id)
+
+    before = cores()
+    try:
+        during = bench._on_one_core(cores)()
+        assert len(during[0]) == 1 and during[0] == during[1] and cores() == before
+        with pytest.raises(ZeroDivisionError):
+            bench._on_one_core(lambda: 1 / 0)()
+        assert cores() == before
+    finally:
+        waiting.set()

@@ -277,11 +277,10 @@ def test_comparison_counts_cells_and_gaps_by_hand():
 def test_a_history_beside_the_archive_gives_the_widget_its_slider(tmp_path):
     path = explorer_runs.write(tmp_path / "run", [6, 12])
     assert len(qdil.explore(path, live=True).children[0].children) == 1  # the colour menu alone
-    improvements = {"iteration": np.array([1, 4, 9]), "index": np.array([6, 12, 12]), "true_return": np.arange(3.0)}
-    np.savez(path / "history.npz", **improvements, iterations=np.array(10))
+    explorer_runs.write_history(path, [1, 4, 9], [6, 12, 12], last=10)
     explored = qdil.explore(path, live=True)
     told = explored.view.show["runs"][0]["history"]
-    assert told == {"iteration": [1, 4, 9], "index": [6, 12, 12], "true_return": [0.0, 1.0, 2.0], "last": 10}
+    assert told == {"iteration": [1, 4, 9], "index": [6, 12, 12], "last": 10, **explorer_runs.growing(3)}
     slider = explored.children[0].children[1].children[1]
     slider.value = 4
     assert explored.view.iteration == 4

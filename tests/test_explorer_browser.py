@@ -102,9 +102,11 @@ def opened(browser, tmp_path):
     """Opens a saved page from its file."""
     context = browser.new_context(viewport={"width": 1200, "height": 800})
 
-    def open_(explored):
+    def open_(explored, script=None):
         path = explored.save(tmp_path / "page.html")
         watched = Watched(context.new_page())
+        if script:
+            watched.page.add_init_script(script)
         watched.page.goto(path.as_uri())
         watched.page.wait_for_selector(".qdil-explorer")
         return watched
@@ -181,6 +183,51 @@ def test_an_archive_of_one_cell(opened, runs):
     wait_for(watched.page, "plays")
     assert labels(watched.page)[0]["cell"] == "12"
     watched.is_clean()
+
+
+def test_the_slider_replays_how_the_archive_filled(opened, runs, tmp_path):
+    path = explorer_runs.write(tmp_path / "remembers", [6, 12])
+    explorer_runs.write_history(path, [1, 4, 9], [6, 12, 12], last=10)
+    watched = opened(qdil.explore([path, runs["gail"]], live=False))
+    page = watched.page
+    wait_for(page, "plays")
+    end = page.evaluate("document.querySelector('.qdil-map').toDataURL()")
+    said = {}
+    for iteration in ("1", "4", "10"):
+        page.locator(".qdil-menus input[type=range]").fill(iteration)
+        page.locator(".qdil-map").hover(position=centre(page, 12))
+        said[iteration] = page.locator(".qdil-tip").inner_text(), page.locator(".qdil-title").inner_text()
+        if iteration != "10":
+            assert page.evaluate("document.querySelector('.qdil-map').toDataURL()") != end
+    assert said["1"][0].startswith("After iteration 1: none.") and said["4"][0].startswith("After iteration 4: 10.5.")
+    assert said["10"][0].startswith("Cell at") and "after" not in said["10"][1]
+    assert said["1"][1].endswith("after iteration 1")
+    page.locator(".qdil-menus input[type=range]").fill("4")
+    page.locator(".qdil-menus select").nth(1).select_option("fitness")
+    page.locator(".qdil-map").hover(position=centre(page, 6))
+    page.locator(".qdil-map").hover(position=centre(page, 12))
+    assert page.locator(".qdil-tip").inner_text().startswith("After iteration 4: 2.0")
+    page.locator(".qdil-menus select").nth(0).select_option("1")  # a run that kept no history shows its end
+    assert "after" not in page.locator(".qdil-title").inner_text()
+    watched.is_clean()
+
+
+def test_without_webgl_and_in_a_dark_theme_robots_walk_too(opened, runs):
+    refuse = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {"
+    refuse += "apply: (f, canvas, [kind, ...rest]) => kind.startsWith('webgl') ? null : f.call(canvas, kind, ...rest)})"
+    watched = opened(qdil.explore(runs["true"], live=False), script=refuse)
+    wait_for(watched.page, "plays")
+    light = watched.page.evaluate("document.querySelector('.qdil-map').toDataURL()")
+    watched.page.add_style_tag(content=":root { --jp-layout-color1: #111; --jp-ui-font-color1: #eee }")  # JupyterLab's
+    watched.page.evaluate("document.body.dataset.jpThemeName = 'JupyterLab Dark'")
+    click(watched.page, 6)
+    wait_for(watched.page, "plays")
+    first, second = two_pictures(watched.page)
+    assert first != second
+    assert watched.page.evaluate("document.querySelector('.qdil-map').toDataURL()") != light
+    if os.environ.get("QDIL_SCREENSHOT"):
+        watched.page.screenshot(path=os.environ["QDIL_SCREENSHOT"])
+    assert watched.strangers == []
 
 
 def test_without_policies_the_heatmap_still_works_and_says_why_no_robot_walks(opened, runs):

@@ -19,7 +19,7 @@ from nbformat.v4 import new_code_cell, new_notebook
 from qdil.cli import main
 from qdil.config import ConfigError
 from qdil.evidence.studies import experiments_of
-from qdil.series import index, schedule
+from qdil.series import index, readme, schedule
 from qdil.series.execute import execute
 
 ROOT = Path(__file__).parent.parent
@@ -154,15 +154,30 @@ def test_the_table_has_a_row_per_notebook_and_says_what_it_claims():
 
 
 def test_the_table_replaces_what_is_between_the_markers():
-    page = f"before\n\n{index.BEGIN}\nold\n{index.END}\n\nafter\n"
-    made = index.put_table(page)
-    assert index.table_in(made) == index.table() and made.startswith("before\n\n") and made.endswith("\n\nafter\n")
+    page = "before\n\n<!-- the table of birds -->\nold\n<!-- end of the table of birds -->\n\nafter\n"
+    made = readme.put_table(page, "birds", "| wren |")
+    assert readme.table_in(made, "birds") == "| wren |"
+    assert made.startswith("before\n\n<!--") and made.endswith("-->\n\nafter\n") and "old" not in made
     with pytest.raises(ValueError, match="the page has no"):
-        index.put_table("no markers")
+        readme.put_table("no markers", "birds", "")
 
 
-def test_the_readme_has_the_table():
-    assert index.table_in((ROOT / "README.md").read_text()) == index.table()
+@pytest.mark.parametrize("name", readme.TABLES)
+def test_the_readme_has_its_tables(name):
+    assert readme.table_in((ROOT / "README.md").read_text(), name) == readme.TABLES[name]()
+
+
+def test_verdicts_leave_out_robots_without_runs(tmp_path):
+    (tmp_path / "claims.md").write_text(
+        "# Claims\n\n## Verdicts\n\n| id | claim | one | two |\n| -- | -- | -- | -- |\n"
+        "| C1 | flies | no runs | reproduced |\n| C2 | sings | no runs † | no runs |\n\n## Comparisons\n\n| id |\n"
+    )
+    assert readme.verdicts(tmp_path / "claims.md").splitlines() == [
+        "| id | claim | two |",
+        "| --- | --- | --- |",
+        "| C1 | flies | reproduced |",
+        "| C2 | sings | no runs |",
+    ]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)

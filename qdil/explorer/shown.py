@@ -31,8 +31,8 @@ class Shown(NamedTuple):
     config: Mapping[str, Any] | None  # the run's settings; None for an archive of unknown origin
     archive: Archive  # arrays as ``run.read_archive`` gives them, policies among them where they are there
     demonstrators: np.ndarray  # (d, 2) measures of the demonstrators
-    # Accepted improvements in order: iteration, index and true_return (n,), and iterations (), how many the run had;
-    # from ``history.npz`` beside the archive. None if the run kept none.
+    # New elites in order: iteration, index, true_return and fitness (n,), and iterations (), how many the run had; from
+    # ``history.npz`` beside the archive (``qdil.search.history``). None if the run kept none.
     history: Mapping[str, np.ndarray] | None
     why: str  # why robots cannot be shown; empty where they can
 
@@ -191,7 +191,7 @@ def _told_history(history: Mapping[str, np.ndarray] | None) -> dict[str, Any] | 
     return {
         "iteration": history["iteration"].tolist(),
         "index": history["index"].tolist(),
-        "true_return": _rounded(history["true_return"]),
+        **{name: _rounded(history[name]) for name in ("true_return", "fitness")},
         "last": int(history["iterations"]),
     }
 

@@ -1,6 +1,5 @@
 """The series as ``notebooks/index.toml`` lists it: its notebooks, what each needs and claims, and the table of them."""
 
-import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,7 +17,6 @@ CLAIMABLE = (
     "Lemma 1",
     *(f"Table {n}" for n in range(1, 10)),
 )
-BEGIN, END = "<!-- the table of notebooks -->", "<!-- end of the table of notebooks -->"  # around it in the README
 
 
 class Entry(NamedTuple):
@@ -79,11 +77,11 @@ def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/", su
     entries = read() if entries is None else tuple(entries)
     budgets = [budget for budget in ("smoke", "laptop", "full") if any(budget in e.minutes for e in entries)]
     head = ["", "notebook", "what it shows", "of the paper", *(f"minutes, {budget}" for budget in budgets)]
-    lines = [_row(head), _row(["---:", "---", "---", "---", *["---:"] * len(budgets)])]
+    lines = [table_row(head), table_row(["---:", "---", "---", "---", *["---:"] * len(budgets)])]
     for entry in entries:
         minutes = [f"{entry.minutes[budget]:.1f}" if budget in entry.minutes else "" for budget in budgets]
         link = f"[{entry.title}]({folder}{entry.name}{suffix})"
-        lines.append(_row([entry.name[:2], link, entry.about, claims_text(entry.claims), *minutes]))
+        lines.append(table_row([entry.name[:2], link, entry.about, claims_text(entry.claims), *minutes]))
     return "\n".join(lines)
 
 
@@ -97,29 +95,6 @@ def claims_text(claims: Iterable[str]) -> str:
     return ", ".join(f"{plural[kind] if len(of) > 1 else kind} {', '.join(of)}" for kind, of in numbers.items())
 
 
-def table_in(text: str) -> str | None:
-    """The table between the markers of a page such as the README; None without them."""
-    found = re.search(f"{re.escape(BEGIN)}\n(.*?)\n?{re.escape(END)}", text, re.DOTALL)
-    return found[1].strip() if found else None
-
-
-def put_table(text: str) -> str:
-    """A page with the table between its markers made anew. Raises ValueError where it has no markers."""
-    if table_in(text) is None:
-        raise ValueError(f"the page has no '{BEGIN}' … '{END}'.")
-    before, rest = text.split(BEGIN, 1)
-    return f"{before}{BEGIN}\n\n{table()}\n\n{END}{rest.split(END, 1)[1]}"
-
-
-def _row(cells: Iterable[str]) -> str:
+def table_row(cells: Iterable[str]) -> str:
+    """A line of a Markdown table."""
     return "| " + " | ".join(cells) + " |"
-
-
-def main() -> None:
-    """Write the table into the README."""
-    readme = ROOT / "README.md"
-    readme.write_text(put_table(readme.read_text()))
-
-
-if __name__ == "__main__":
-    main()

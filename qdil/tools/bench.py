@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -61,9 +62,11 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     row["reward_update_share"] = seconds["reward"] / seconds["iteration"]
     if jax.local_device_count() > 1:
         alone = _begun(env, "true", budget, devices=1)
-        row["device_speedup"] = _against(
-            _in_turns({"one": _iterations_of(alone), "all": _iterations_of(true)}, rounds), "one"
-        )[1]["all"]
+        one, together = _iterations_of(alone), _iterations_of(true)
+        row["device_speedup"] = _against(_in_turns({"one": one, "all": together}, rounds), "one")[1]["all"]
+        if hasattr(os, "sched_setaffinity"):
+            turns = _in_turns({"one": _on_one_core(one), "all": together}, rounds)
+            row["all_cores_over_one"] = _against(turns, "one")[1]["all"]
     row["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return row
 
@@ -133,6 +136,25 @@ def _made_up_demonstrations(config: Config) -> Demonstrations:
 
 
 Turn = Callable[[], tuple[float, float]]  # does some work; returns how many steps of it, and the seconds they took
+
+
+def _on_one_core(work: Turn) -> Turn:
+    """``work`` with all of the process's threads on one core: one device alone spreads over several (Linux only)."""
+
+    def pin(cores: set[int]) -> None:
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(ProcessLookupError):  # it has just ended
+                os.sched_setaffinity(int(thread), cores)
+
+    def turn() -> tuple[float, float]:
+        cores = os.sched_getaffinity(0)
+        pin({min(cores)})
+        try:
+            return work()
+        finally:
+            pin(cores)
+
+    return turn
 
 
 def _in_turns(works: dict[str, Turn], rounds: int) -> dict[str, list[tuple[float, float]]]:

@@ -14,16 +14,19 @@ export function byCell(run) {
   return row;
 }
 
-function valueOf(run, field, i) {
-  return field === "difference" ? run.fitness[i] - run.true_return[i] : run[field][i];
+function valueOf(elites, field, i) {
+  return field === "difference" ? elites.fitness[i] - elites.true_return[i] : elites[field][i];
 }
 
-/** A run's `field` by cell after `iteration` (−1: at its end). Of earlier iterations only true returns are known. */
+/** Whether a run shows `iteration` rather than its end. */
+export const looksBack = (run, iteration) => iteration >= 0 && Boolean(run.history);
+
+/** A run's `field` by cell after `iteration`; −1, and for a run that kept no history any: at its end. */
 export function values(run, field, iteration) {
   const out = new Float64Array(run.cells[0] * run.cells[1]).fill(NaN);
-  if (iteration >= 0 && run.history) {
-    const { iteration: when, index, true_return: value } = run.history;
-    for (let i = 0; i < when.length && when[i] <= iteration; i++) out[index[i]] = value[i];
+  if (looksBack(run, iteration)) {
+    const { iteration: when, index } = run.history;
+    for (let i = 0; i < when.length && when[i] <= iteration; i++) out[index[i]] = valueOf(run.history, field, i);
   } else {
     run.index.forEach((cell, i) => (out[cell] = valueOf(run, field, i)));
   }
@@ -34,7 +37,7 @@ export function values(run, field, iteration) {
 export function bounds(runs, field) {
   let low = Infinity, high = -Infinity;
   for (const run of runs) {
-    const all = field === "true_return" && run.history ? run.history.true_return : [];
+    const all = run.history ? run.history.index.map((_, i) => valueOf(run.history, field, i)) : [];
     for (const value of [...values(run, field, -1), ...all]) {
       if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
     }

@@ -1,6 +1,6 @@
 // The explorer: heatmap, robots, gait diagram and controls around one clock and one small state.
 
-import { byCell, comparable, FIELDS, number, picture } from "./data.js";
+import { byCell, comparable, FIELDS, looksBack, number, picture, values } from "./data.js";
 import { duration, stepAt } from "./decode.js";
 import { flatStage } from "./flat.js";
 import { heatmap } from "./heatmap.js";
@@ -142,14 +142,16 @@ export function explorer(el, host) {
       selected: tiles().filter((tile) => tile.run === now.run).map((tile) => [tile.cell, tile.name]),
     });
     const unit = FIELDS[now.field];
-    ui.title.textContent = compares
-      ? `${unit.name}: ${runs[now.run].name} minus ${runs[now.against].name}`
-      : `${unit.name}: ${runs[now.run].name}`;
+    const back = looksBack(runs[now.run], now.iteration);
+    ui.title.textContent =
+      `${unit.name}: ${runs[now.run].name}${compares ? ` minus ${runs[now.against].name}` : ""}`
+      + (back ? ` after iteration ${now.iteration}` : "");
     ui.caption.textContent =
       `Colour: ${unit.unit}${compares ? "; orange where the first is better, + filled there alone, − in the other alone" : ""}. Hatched: empty.`
       + (runs[now.run].demonstrators.length ? " ★ demonstrators." : "")
       + (runs[now.run].top.length && !compares ? " ● best fifth by return." : "")
-      + (few ? " ▸ has a recording." : "");
+      + (few ? " ▸ has a recording." : "")
+      + (back ? " Robots and their numbers are those of the run's end." : "");
   }
 
   function drawAll() {
@@ -235,7 +237,8 @@ export function explorer(el, host) {
 
   function tipOf(cell) {
     const now = state();
-    const text = describe(now.run, cell);
+    const then = looksBack(runs[now.run], now.iteration) ? values(runs[now.run], now.field, now.iteration)[cell] : null;
+    const text = (then === null ? "" : `After iteration ${now.iteration}: ${number(then)}. At the end: `) + describe(now.run, cell);
     if (now.against < 0 || now.against === now.run || !comparable(runs[now.run], runs[now.against])) return text;
     const other = runs[now.against];
     const row = rows[now.against][cell];
