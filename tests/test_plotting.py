@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from qdil import plotting
 from qdil.evidence.studies import STUDIES
+from qdil.plotting import style
 from qdil.plotting.curves import over_seeds
 from qdil.registry import method_names
 
@@ -86,6 +87,15 @@ def test_names_that_are_no_methods_get_looks_of_their_own():
 )
 def test_legends_call_experiments_by_what_differs(experiment, text):
     assert plotting.label(experiment) == text
+
+
+def test_axes_have_the_units_that_they_say():
+    steps = table(1.0, steps=np.linspace(0.5e6, 3e6, 30))
+    for x, unit, columns in (("env_steps", 1e6, {}), ("wall_seconds", 60.0, {"wall_seconds": np.arange(30) * 12.0})):
+        tables = steps.assign(**columns)
+        ax = plotting.learning_curves({"gail": tables}, x=x).axes[0]
+        np.testing.assert_allclose(ax.lines[0].get_xdata(), tables[x] / unit)
+    assert [style.short(x) for x in (0.0, 0.25, 100.0, 1000.0, 120000.0)] == ["0", "0.25", "100", "1,000", "120,000"]
 
 
 def test_curves_are_the_mean_over_seeds_in_a_band_of_one_standard_deviation():

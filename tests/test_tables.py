@@ -1,10 +1,13 @@
 """Tables against numbers worked out by hand from fake runs."""
 
+import csv
+from pathlib import Path
+
 import numpy as np
 import pytest
 from fake_runs import write_arms, write_run
 
-from qdil.evidence import tables
+from qdil.evidence import paper, tables
 
 
 def runs_of(root, names, env="walker2d"):
@@ -48,6 +51,19 @@ def test_the_papers_numbers_stand_beside_ours(tmp_path):
     assert beside.loc["mconbo-gail+demo_episodes=2", "paper"] == "91.1%"
     for lost in ("airl", "mconbo-gail+bonus_q=1.0"):
         assert beside.loc[lost, "paper"] == "not recoverable"
+
+
+def test_the_later_versions_table_is_what_the_file_says():
+    with open(Path(paper.__file__).parent / "paper_numbers.csv", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["source"].startswith("later version")]
+    said = {(row["environment"], row["method"], row["metric"]): float(row["value"]) for row in rows}
+    table = tables.later_paper()
+    assert set(table.index) == {(env, method) for env, method, _ in said}
+    for (env, method), row in table.iterrows():
+        assert row["coverage"] == f"{said[env, method, 'coverage_pct']:.1f}%"
+        assert row["QD-score"] == f"{said[env, method, 'qd_score']:,.0f}"
+        assert row["best"] == f"{said[env, method, 'best']:.0f}"
+    assert list(tables.later_paper(["walker2d"], ["gail"]).index) == [("walker2d", "gail")]
 
 
 def test_nothing_finished_gives_empty_tables(tmp_path):

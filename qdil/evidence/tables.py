@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from qdil import run
+from qdil.config import ROBOTS
 from qdil.evidence import paper, stats
 from qdil.evidence.experiments import finished
 
@@ -141,3 +142,16 @@ def share_of_expert(runs: Mapping[str, Runs], metric: str = "qd_score") -> pd.Da
         rows[name] = {"robots": len(strata), "seeds": sum(map(len, strata)), **stats.stratified(strata)._asdict()}
     table = pd.DataFrame.from_dict(rows, orient="index", columns=["robots", "seeds", *stats.Interval._fields])
     return table.rename(columns={"estimate": "share"}).rename_axis("experiment")
+
+
+def later_paper(envs: Sequence[str] = ROBOTS, methods: Sequence[str] | None = None) -> pd.DataFrame:
+    """The table of the paper's later version, texts: a row per robot and method, or those of ``methods`` alone."""
+    found = paper.numbers()
+    found = found[(found["origin"] == paper.LATER) & found["environment"].isin(envs)]
+    if methods is not None:
+        found = found[found["method"].isin(methods)]
+    values = found.pivot_table(index=["environment", "method"], columns="metric", values="value", sort=False)
+    values = values.rename(columns={"coverage_pct": "coverage"})[list(paper.METRICS)]
+    values["coverage"] /= 100.0
+    shown = {COLUMNS[key]: [text(key, number) for number in values[key]] for key in paper.METRICS}
+    return pd.DataFrame(shown, index=values.index.rename(["robot", "method"]))

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from qdil.evidence.studies import config_of
 from qdil.plotting.colours import method_colour
-from qdil.plotting.style import EMPTY, METRICS, MORE_METRICS, SETTING_LABELS, label, percent
+from qdil.plotting.style import EMPTY, METRICS, MORE_METRICS, SETTING_LABELS, label, percent, short
 
 LABELS = {**METRICS, **MORE_METRICS}
 
@@ -59,7 +59,7 @@ def _bars(ax: Axes, values: pd.Series, experiments: list[str]) -> None:
     ax.spines[["top", "right", "left"]].set_visible(False)
     ax.tick_params(axis="y", length=0)
     ax.xaxis.set_major_locator(MaxNLocator(3))
-    ax.xaxis.set_major_formatter("{x:,.5g}")
+    ax.xaxis.set_major_formatter(short)
 
 
 def grid(final: pd.DataFrame, rows: str = "bonus_p", columns: str = "bonus_q", metric: str = "qd_score") -> Figure:

@@ -60,7 +60,7 @@ def curves(
             lines[str(name)] = ax.plot(table.index, table[name], **style)[0]
         ax.set(title=title, xlabel=x_label, ylabel=y_label if i % columns == 0 else "")
         if from_zero:
-            ax.set_ylim(bottom=0)
+            ax.set_ylim(0, 1.05 * max(0.01, float(table.max(axis=None))))
         ax.locator_params(axis="x", integer=pd.api.types.is_integer_dtype(table.index))
         _plain(ax)
     titled = all(list(table.columns) == [title] for title, table in panels.items())

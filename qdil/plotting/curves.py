@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdil.plotting.colours import styles
-from qdil.plotting.style import METRICS, X_LABELS, label, percent
+from qdil.plotting.style import METRICS, X_LABELS, X_UNITS, label, percent, short
 
 Tables: TypeAlias = pd.DataFrame | Sequence[pd.DataFrame]
 POINTS = 200  # of a curve over seeds whose own points do not lie at the same x
@@ -43,7 +43,8 @@ def learning_curves(metrics: Mapping[str, Tables], x: str = "iteration") -> Figu
         ax.grid(color="0.92")
         ax.set_axisbelow(True)
         ax.spines[["top", "right"]].set_visible(False)
-        ax.xaxis.get_major_locator().set_params(integer=x != "wall_seconds", nbins=5)
+        ax.xaxis.get_major_locator().set_params(integer=x == "iteration", nbins=5)
+        ax.yaxis.set_major_formatter(short)
     axes[1].set_ylim(0, 103)
     lines = axes[0].get_legend_handles_labels()
     figure.legend(*lines, loc="outside lower center", ncols=columns, frameon=False, title=_seeds(seeds))
@@ -65,7 +66,7 @@ def _seeds(metrics: Mapping[str, Sequence[pd.DataFrame]]) -> str | None:
 def _draw(ax: Axes, tables: Sequence[pd.DataFrame], x: str, name: str, style: dict, number: int) -> None:
     where, values = over_seeds(tables, x, name)
     values = percent(name) * values
-    n, few = len(where), len(where) < 20
+    where, n, few = where / X_UNITS[x], len(where), len(where) < 20
     every = 1 if few else (n * (number % MARKS) // MARKS**2, n // MARKS)
     ax.plot(where, values.mean(axis=0), markevery=every, ms=4, lw=1.4, **style)
     if len(values) > 1:

@@ -23,7 +23,12 @@ MORE_METRICS = {
     "million_steps": "environment steps (millions)",
     "minutes": "training time (minutes)",
 }
-X_LABELS = {"iteration": "QD iteration", "env_steps": "environment steps", "wall_seconds": "wall-clock time (s)"}
+X_LABELS = {
+    "iteration": "QD iteration",
+    "env_steps": "environment steps (millions)",
+    "wall_seconds": "wall-clock time (minutes)",
+}
+X_UNITS = {"iteration": 1.0, "env_steps": 1e6, "wall_seconds": 60.0}  # of a table's column, in one of its label
 FIELD_LABELS = {
     "true_return": "true return per episode (reward units)",
     "fitness": "learned fitness per episode (reward units)",
@@ -52,6 +57,11 @@ def _setting(text: str) -> str:
     if name == "protocol":
         return f"all {value} choices"
     return f"{SETTING_LABELS.get(name, name.replace('_', ' '))} = {value}"
+
+
+def short(x: float, _: float = 0.0) -> str:
+    """A number on an axis: 120,000 or 0.25, never 1e+05."""
+    return f"{x:,.0f}" if abs(x) >= 1000 else f"{x:g}"
 
 
 def percent(metric: str) -> float:

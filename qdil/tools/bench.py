@@ -30,6 +30,7 @@ from qdil.search.rollout import split_each, start, window
 from qdil.sharding import AXIS, make_mesh
 
 ROUNDS = 5  # turns that each speed is taken in
+WARMED = 60  # warm-up updates before anything is timed: a robot that can only fall says little about a run
 Row = dict[str, float]
 
 
@@ -119,10 +120,13 @@ def start_seconds(env: str = "walker2d") -> Row:
 
 
 def _begun(env: str, method: str, budget: str, **changes: Any) -> ppga.Search:
-    """A run with everything compiled: after a round of warm-up and one iteration, on made-up demonstrations."""
-    config = make_config(env, method, budget, warmup_updates=1, **changes)
+    """A run with everything compiled: after some warm-up and one iteration, on made-up demonstrations."""
+    config = make_config(env, method, budget, **changes)
     search = ppga.begin(config, None if method == "true" else _made_up_demonstrations(config))
-    search, *_ = ppga.warm_up(search, 1)
+    left = min(WARMED, config.warmup_updates)
+    while left > 0:
+        search, done, _ = ppga.warm_up(search, left)
+        left -= done
     return ppga.iteration(search)[0]
 
 
