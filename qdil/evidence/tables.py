@@ -150,8 +150,12 @@ def later_paper(envs: Sequence[str] = ROBOTS, methods: Sequence[str] | None = No
     found = found[(found["origin"] == paper.LATER) & found["environment"].isin(envs)]
     if methods is not None:
         found = found[found["method"].isin(methods)]
-    values = found.pivot_table(index=["environment", "method"], columns="metric", values="value", sort=False)
+    return published(found).rename_axis(["robot", "method"])
+
+
+def published(numbers: pd.DataFrame, index: Sequence[str] = ("environment", "method")) -> pd.DataFrame:
+    """Some rows of ``paper.numbers()`` as texts, a column per metric; ``index`` names what tells its rows apart."""
+    values = numbers.pivot_table(index=list(index), columns="metric", values="value", sort=False)
     values = values.rename(columns={"coverage_pct": "coverage"})[list(paper.METRICS)]
     values["coverage"] /= 100.0
-    shown = {COLUMNS[key]: [text(key, number) for number in values[key]] for key in paper.METRICS}
-    return pd.DataFrame(shown, index=values.index.rename(["robot", "method"]))
+    return pd.DataFrame({COLUMNS[key]: [text(key, x) for x in values[key]] for key in paper.METRICS}, values.index)

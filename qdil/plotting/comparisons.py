@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from qdil.imitation.demos import top_fifth
 from qdil.plotting.colours import method_colour, styles
-from qdil.plotting.style import BLUE, GREEN, METRICS, RED, label_measures, percent
+from qdil.plotting.style import BLUE, GREEN, METRICS, RED, label_measures, percent, short
 from qdil.registry import method_names
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's, in our order
@@ -151,6 +151,7 @@ def by_demonstrations(tables: Mapping[str, pd.DataFrame], metrics: Sequence[str]
                 y, spread = scale * rows["value"], scale * rows["spread"].fillna(0)
                 ax.errorbar(rows["n_demos"], y, spread, color=colour, marker="o", capsize=3, label=str(method))
             ax.set(title=METRICS[metric] if row == 0 else "", xlabel="demonstrations")
+            ax.yaxis.set_major_formatter(short)
             ax.set_xticks(sorted(mine["n_demos"].unique()))
             _plain(ax)
         axes[0].set_ylabel(title)
