@@ -93,6 +93,7 @@ export function explorer(el, host) {
 
   function tell() {
     const all = tiles();
+    ui.stage.classList.toggle("qdil-rows", all.length > 2);
     ui.labels.replaceChildren(
       ...all.map((tile, n) => {
         const [x, y, w] = tilePlace(n, all.length);
@@ -112,7 +113,7 @@ export function explorer(el, host) {
       }),
     );
     if (!all.length) ui.status.textContent = "Choose a cell: click it, or use the arrow keys.";
-    else ui.status.textContent = all.map((tile) => (all.length > 1 ? tile.name + ": " : "") + describe(tile.run, tile.cell)).join(" ");
+    else ui.status.textContent = all.map((tile) => (all.length > 1 ? tile.name + ": " : "") + describe(tile.run, tile.cell)).join("\n");
   }
 
   function said(tile) {
@@ -123,6 +124,7 @@ export function explorer(el, host) {
     if (!tile.rollout) return `${archived} · simulating; the first time, the simulator compiles for up to a minute`;
     const sum = tile.rollout.reward.reduce((a, b) => a + b, 0);
     const end = tile.rollout.fell ? "then falls" : "to the time limit";
+    if (tiles().length > 1) return `${archived} · here ${number(sum)}, ${tile.rollout.steps} steps, ${end}`;
     return `${archived} in the archive · ${number(sum)} in this episode, ${tile.rollout.steps} steps, ${end}`;
   }
 

@@ -19,6 +19,8 @@ export function tilePlace(n, count) {
   return [(n % columns) / columns, Math.floor(n / columns) / rows, 1 / columns, 1 / rows];
 }
 
+const LABEL = 40; // pixels that a robot's label takes at the top of its part
+
 export function startView() {
   return { azimuth: -Math.PI / 2 + 0.35, elevation: 0.16, distance: 1 };
 }
@@ -53,20 +55,20 @@ export function stage(canvas, robot) {
       renderer.setScissor(x * width, (1 - y - h) * tall, w * width, h * tall);
       bodies.forEach((body, i) => (body.group.visible = i === n && !!rollout));
       const middle = rollout ? pose(bodies[n], rollout, time) : new Vector3(0, 0, robot.torso);
-      look(middle, (w * width) / (h * tall), view);
+      look(middle, w * width, h * tall, view);
       renderer.render(scene, camera);
     });
   }
 
-  function look(middle, aspect, { azimuth, elevation, distance }) {
+  function look(middle, width, tall, { azimuth, elevation, distance }) {
+    const aspect = width / tall;
     const target = new Vector3(middle.x, middle.y, robot.middle + 0.6 * (middle.z - robot.torso));
     const far = ((height * 2.7) / Math.min(1, aspect)) * distance;
     const flat = Math.cos(elevation) * far;
     camera.position.set(
       target.x + Math.cos(azimuth) * flat, target.y + Math.sin(azimuth) * flat, Math.max(0.05, target.z + Math.sin(elevation) * far),
     );
-    camera.aspect = aspect;
-    camera.updateProjectionMatrix();
+    camera.setViewOffset(width, tall, 0, -LABEL / 2, width, tall); // in the middle of what the label leaves free
     camera.lookAt(target);
     // The ground goes with the robot by whole tiles, so that it seems to lie still.
     ground.position.set(2 * Math.round(target.x / 2), 2 * Math.round(target.y / 2), 0);
