@@ -18,8 +18,8 @@ from qdil.plotting.style import label
 HOW_TO_READ = """\
 *Reproduced*: the 95 % stratified bootstrap interval over seeds says so. *Not reproduced*: it says the opposite.
 *Inconclusive*: it holds both, or an arm has fewer than two seeds. *No runs*: an experiment that the claim compares has
-none. A claim with several comparisons needs all of them. Questions of our own (Q) are answered with yes and no.
-`docs/claims.md` says how far intervals over few seeds can be trusted."""
+none. A claim with several comparisons needs all of them, and fails with one. Questions of our own (Q) are answered with
+yes and no. `docs/claims.md` says how far intervals over few seeds can be trusted."""
 SCALE = {
     "smoke": "Nothing has been learned at this budget: it tests that every line runs, and its verdicts mean nothing.",
     "laptop": "Ours and the paper's numbers differ in scale (cells, episodes, training): compare order, not size.",
@@ -38,7 +38,7 @@ def words(verdict: Verdict, said: str | None = None) -> str:
 
 def overview(verdicts: Sequence[Verdict]) -> pd.DataFrame:
     """A row per claim, a column per robot (and the small problem of Lemma 1): the verdict alone."""
-    envs = sorted({v.env for v in verdicts}, key=lambda env: [*ROBOTS, env].index(env))
+    envs = sorted({v.env for v in verdicts}, key=lambda env: ([*ROBOTS, env].index(env), env))
     rows: dict[str, dict[str, str]] = {}
     for v in verdicts:
         row = rows.setdefault(v.claim.id, {"claim": v.claim.sentence, "where": v.claim.where} | dict.fromkeys(envs, ""))
