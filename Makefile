@@ -36,7 +36,7 @@ sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d studie
 site: $(VENV)/.installed  ## the executed notebooks as web pages in build/site (SITE=smoke, laptop or full: that budget's)
 	$(RUN) -m qdil.series.site $(if $(SITE),--budget $(SITE))
 
-contents: $(VENV)/.installed  ## write the README's tables: of notebooks, verdicts and kept runs
+contents: $(VENV)/.installed  ## write the tables that are made into the README and docs/performance.md
 	$(RUN) -m qdil.series.readme
 
 lock:  ## resolve the pinned, hashed environment anew (needs uv)

@@ -3,8 +3,8 @@
 import ast
 import functools
 import importlib
+import json
 import re
-import subprocess
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -162,9 +162,21 @@ def test_the_table_replaces_what_is_between_the_markers():
         readme.put_table("no markers", "birds", "")
 
 
-@pytest.mark.parametrize("name", readme.TABLES)
-def test_the_readme_has_its_tables(name):
-    assert readme.table_in((ROOT / "README.md").read_text(), name) == readme.TABLES[name]()
+@pytest.mark.parametrize("page, name", readme.TABLES)
+def test_pages_have_their_tables(page, name):
+    assert readme.table_in((ROOT / page).read_text(), name) == readme.TABLES[page, name]()
+
+
+def test_speeds_are_a_row_per_figure_with_gaps_where_a_robot_has_none(tmp_path):
+    for env in ("walker2d", "halfcheetah", "humanoid"):
+        (tmp_path / f"laptop-{env}.json").write_text(f'{{"{env}": {{"a_speed": 12345.6, "of_{env[0]}": 0.707}}}}')
+    assert readme.speeds(tmp_path).splitlines() == [
+        "| `laptop` | walker2d | halfcheetah | humanoid |",
+        "| --- | ---: | ---: | ---: |",
+        "| a speed | 12,346 | 12,346 | 12,346 |",
+        "| of w | 0.71 |  |  |",
+        "| of h |  | 0.71 | 0.71 |",
+    ]
 
 
 def test_verdicts_leave_out_robots_without_runs(tmp_path):
@@ -190,28 +202,6 @@ def test_links_lead_to_files(page):
 @pytest.mark.parametrize(("here", "following"), list(zip(NAMES, NAMES[1:], strict=False)))
 def test_a_notebook_leads_to_the_next(here, following):
     assert f"]({following}.ipynb)" in prose_of(ROOT / "notebooks" / f"{here}.ipynb")
-
-
-# Executed copies in git
-
-
-def kept() -> list[Path]:
-    listed = subprocess.run(
-        ["git", "ls-files", "results/notebooks"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout.split()
-    return [ROOT / path for path in listed if (ROOT / path).is_file()]
-
-
-@pytest.mark.parametrize("path", kept(), ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_a_kept_copy_is_whole_small_quiet_and_of_todays_code(path):
-    assert path.stat().st_size < 2e6
-    notebook = nbformat.read(path, as_version=4)
-    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-    assert [output for output in outputs if output.output_type == "error" or output.get("name") == "stderr"] == []
-    assert notebook.metadata.papermill.parameters["budget"] == path.parent.name
-    cells = [cell for cell in notebook.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
-    assert all(cell.execution_count for cell in cells if cell.cell_type == "code" and cell.source.strip())
-    assert [cell.source for cell in cells if cell.cell_type == "code"] == code_of(path.stem)
 
 
 # Executing
@@ -333,6 +323,9 @@ def test_every_direct_dependency_has_its_notice():
     table = (ROOT / "THIRD_PARTY.md").read_text()
     named = {name for row in re.findall(r"^\| ([^|]+) \|", table, re.MULTILINE) for name in row.split(", ")}
     assert {re.match(r"[\w-]+", line)[0] for line in asked} <= named
+    bundled = json.loads((ROOT / "qdil" / "explorer" / "frontend" / "package.json").read_text())["dependencies"]
+    passed_on = (ROOT / "THIRD_PARTY.md").read_text().split("## What is passed on")[1]
+    assert all(f"{name}.js" in passed_on for name in bundled)
 
 
 def test_the_citation_file_reads_as_yaml_with_what_its_format_requires():

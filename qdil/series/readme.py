@@ -1,12 +1,15 @@
-"""The README's tables that are made: of notebooks from their index, of verdicts and runs from the pages about them."""
+"""The tables that are made, in the README and the page on performance: nothing in them is typed.
 
+Of notebooks from their index, of verdicts and runs from the pages about them, of speeds from what ``qdil bench`` wrote.
+"""
+
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 from qdil.series import index
 
-README = index.ROOT / "README.md"
 RESULTS = index.ROOT / "results"
 EMPTY = ("", "no runs", "no runs †")
 
@@ -27,11 +30,30 @@ def runs(env: str) -> str:
     return (RESULTS / "figures" / f"laptop-{env}-summary.md").read_text().strip()
 
 
-TABLES: dict[str, Callable[[], str]] = {
-    "notebooks": index.table,
-    "verdicts": verdicts,
-    "walker2d's runs": lambda: runs("walker2d"),
-    "halfcheetah's runs": lambda: runs("halfcheetah"),
+def speeds(folder: Path = RESULTS / "bench") -> str:
+    """What ``qdil bench --json`` measured of each robot at ``laptop``: a row per figure."""
+    of = {
+        env: json.loads((folder / f"laptop-{env}.json").read_text())[env]
+        for env in ("walker2d", "halfcheetah", "humanoid")
+    }
+    names = dict.fromkeys(name for row in of.values() for name in row)
+    head = [["`laptop`", *of], ["---", *("---:" for _ in of)]]
+    rows = [[name.replace("_", " "), *(_speed(row.get(name)) for row in of.values())] for name in names]
+    return "\n".join(index.table_row(row) for row in head + rows)
+
+
+def _speed(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}"
+
+
+TABLES: dict[tuple[str, str], Callable[[], str]] = {  # by page and name
+    ("README.md", "notebooks"): index.table,
+    ("README.md", "verdicts"): verdicts,
+    ("README.md", "walker2d's runs"): lambda: runs("walker2d"),
+    ("README.md", "halfcheetah's runs"): lambda: runs("halfcheetah"),
+    ("docs/performance.md", "speeds"): speeds,
 }
 
 
@@ -56,11 +78,10 @@ def _markers(name: str) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Write all tables into the README."""
-    text = README.read_text()
-    for name, table in TABLES.items():
-        text = put_table(text, name, table())
-    README.write_text(text)
+    """Write all tables into their pages."""
+    for (page, name), table in TABLES.items():
+        path = index.ROOT / page
+        path.write_text(put_table(path.read_text(), name, table()))
 
 
 if __name__ == "__main__":
