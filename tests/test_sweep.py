@@ -24,6 +24,8 @@ def planned(results: Path, methods: str, rule: str = "all", **more: str) -> dict
     command = [*SNAKEMAKE, "--dry-run", rule, *config(results, methods, **more)]
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert said.returncode == 0, said.stdout + said.stderr
+    if "Nothing to be done" in said.stdout + said.stderr:
+        return {}
     table = (said.stdout + said.stderr).split("Job stats:")[-1].splitlines()[3:]
     rows = [line.split() for line in table]
     return {row[0]: int(row[1]) for row in rows[: next(i for i, row in enumerate(rows) if row[:1] == ["total"])]}
@@ -47,7 +49,18 @@ def test_what_is_there_is_not_run_again(tmp_path):
 def test_a_study_is_its_experiments_each_with_the_demonstrations_it_learns_from(tmp_path):
     """Figs. 12-14: the expert and two methods on 4, 2, 1 and 10 demonstrations."""
     plan = planned(tmp_path, "", budget="laptop", studies="demonstrations", seeds="1,2")
-    assert plan == {"all": 1, "run": 2 * (1 + 2 * 4), "demos": 4}
+    assert plan == {"all": 1, "run": 2 * (1 + 2 * 4), "demos": 4, "claims": 1}
+
+
+def test_claims_are_judged_once_all_runs_are_there_and_never_from_smoke(tmp_path):
+    for budget in ("laptop", "full"):
+        assert planned(tmp_path, "true", budget=budget) == {"all": 1, "run": 1, "claims": 1}
+    folder = tmp_path / "laptop" / "walker2d" / "true" / "seed-1"
+    folder.mkdir(parents=True)
+    (folder / "manifest.json").write_text("{}")
+    assert planned(tmp_path, "true", budget="laptop") == {"all": 1, "claims": 1}
+    (tmp_path / "claims.md").write_text("newer than its runs")
+    assert planned(tmp_path, "true", budget="laptop") == {}
 
 
 def test_studies_and_methods_add_up_and_share_runs(tmp_path):
