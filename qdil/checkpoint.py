@@ -39,6 +39,7 @@ class Progress(NamedTuple):
     seconds: float = 0.0  # wall time spent, interruptions not counted
     rows: tuple[dict[str, float], ...] = ()  # of metrics.csv
     history: History = none_yet()  # of history.npz
+    rolled_back: float = 0.0  # phases of the warm-up; the first row of metrics.csv tells them with its own
 
 
 def save(run_folder: Path, search: Search, progress: Progress, demos_sha256: str | None) -> None:

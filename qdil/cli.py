@@ -37,7 +37,11 @@ def _parser() -> argparse.ArgumentParser:
         dest="settings",
         help="change a setting (repeatable)",
     )
-    train.add_argument("--out", type=Path, help="run folder (default: results/BUDGET/ENV/METHOD/seed-N)")
+    train.add_argument(
+        "--out",
+        type=Path,
+        help="run folder (default: results/BUDGET/ENV/METHOD/seed-N, with what --set changes in the name)",
+    )
     train.add_argument("--devices", type=int, help="local devices to use (default: as many as divide the counts)")
     train.add_argument(
         "--dry-run", action="store_true", help="print the settings, the steps and a time estimate; train nothing"
@@ -138,10 +142,12 @@ def _train(args: argparse.Namespace) -> int:
         print(plan.report(config, plan.plan(config)))
         return 0
     from qdil import checkpoint, hosts, run
+    from qdil.evidence import experiments, studies
     from qdil.progress import Progress
 
     hosts.join()
-    folder = args.out or run.folder_of(config)
+    experiment = studies.name_of(args.method, args.env, args.budget, **changes)
+    folder = args.out or experiments.folder_of(experiment, args.env, args.budget, args.seed)
     if not hosts.is_first():
         run.train(config, folder, args.demos)
         return 0
@@ -193,7 +199,7 @@ def _verify(args: argparse.Namespace) -> int:
 
     found = verify.verify(args.folder)
     print(verify.report(found))
-    return 1 if found.changed else 0
+    return 0 if found.sound() else 1
 
 
 def _bench(args: argparse.Namespace) -> int:
@@ -204,8 +210,17 @@ def _bench(args: argparse.Namespace) -> int:
         make_config(env, "true", args.budget)
     from qdil.tools import bench
 
-    rows = {env: bench.start_seconds(env) | bench.bench(env, args.budget, args.rounds) for env in robots}
+    def say(env: str, what: str) -> None:
+        print(f"{env}: {what} …", file=sys.stderr, flush=True)
+
+    rows = {}
     for env in robots:
+        say(env, "starting a run, with an empty and a warm cache")
+        rows[env] = bench.start_seconds(env)
+        say(env, f"{args.rounds} rounds at {args.budget}, minutes")
+        rows[env] |= bench.bench(env, args.budget, args.rounds)
+    for env in robots:
+        say(env, "the full budget's networks")
         rows[env] |= bench.full_networks(env, args.rounds)
     print(bench.as_json(rows) if args.json else bench.table(rows))
     return 0

@@ -146,6 +146,7 @@ PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
     ("laptop", "halfcheetah"): {
         "gamma": 0.99,
         "episode_length": 200,
+        "eval_chunk": 200,
         "num_envs": 96,
         "iterations": 160,
         "warmup_updates": 100,
@@ -288,6 +289,15 @@ def _require(holds: bool, config: Config, name: str, rule: str) -> None:
         raise ConfigError(f"{name}={getattr(config, name)} {rule}.")
 
 
+SPEED_ALONE = ("eval_chunk", "eval_tile", "devices")  # settings that change how fast a run is, and not what it finds
+
+
+def same_but_for_speed(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two ``config.json`` agree in everything but ``SPEED_ALONE``."""
+    names = (set(one) | set(other)) - set(SPEED_ALONE)
+    return all(name in one and name in other and one[name] == other[name] for name in names)
+
+
 def to_json(config: Config) -> dict[str, Any]:
     """Plain values, for ``config.json``."""
     return {
@@ -296,10 +306,12 @@ def to_json(config: Config) -> dict[str, Any]:
 
 
 def from_json(content: dict[str, Any]) -> Config:
-    """Undo ``to_json`` and check."""
-    values: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in content.items()
-    }
+    """Undo ``to_json`` and check. What an older version did not write of ``SPEED_ALONE`` takes its default.
+
+    Raises ConfigError if any other setting is unknown or missing, or a value is not allowed.
+    """
+    values: dict[str, Any] = {field.name: field.default for field in fields(Config) if field.name in SPEED_ALONE}
+    values |= {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
     unknown = sorted(set(values) ^ {field.name for field in fields(Config)})
     if unknown:
         raise ConfigError(f"these settings are of another version: {', '.join(unknown)} are unknown or missing.")

@@ -77,10 +77,12 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     walked = compiled.train(state, occupied, _tied(c_mu), True, config.walk_updates, config.epochs)
     state = walked.state
 
-    # Reward model (line 18): fresh rollouts of the walked policy, nothing learned from them but the reward.
+    # Reward model (line 18): fresh rollouts of the walked policy, no gradient step from them but the reward's.
     reward_info: dict[str, jax.Array] = {}
+    rolled_back = forked.info["rolled_back"] + walked.info["rolled_back"]
     if compiled.model.learns:
         fresh = compiled.train(state, occupied, _tied(c_mu), True, 1, 0)
+        rolled_back += fresh.info["rolled_back"]
         state, reward_info = compiled.update_reward(fresh.state, occupied, demos, fresh.transitions)
 
     # Restart (lines 19-22): nothing was added, so start again from a random elite with its own statistics.
@@ -96,10 +98,10 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
         **{f"c{i}": float(c) for i, c in enumerate(c_mu)},
         "steps": _env_steps(config, candidates, compiled.model.learns),
         "added": float((improvement > 0).sum()),
-        "not_finite": float((~candidates.finite).sum()),
+        "not_finite": float((~archive.usable(candidates)).sum()),
         "walk_reward": float(walked.info["fitness_reward"]),
         "true_reward": float(walked.info["true_reward"]),
-        "rolled_back": float(forked.info["rolled_back"] + walked.info["rolled_back"]),
+        "rolled_back": float(rolled_back),
         "approx_kl": float(walked.info["approx_kl"]),
         "action_std": float(walked.info["action_std"]),
         **{name: float(value) for name, value in reward_info.items()},
@@ -107,21 +109,31 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     return search._replace(state=state), info
 
 
-def warm_up(search: Search, updates: int) -> tuple[Search, int, float]:
+def warm_up(search: Search, updates: int) -> tuple[Search, int, dict[str, float]]:
     """A round of plain PPO on the method's own reward before the first iteration (ours, the same for every method).
 
     At most N2 of the ``updates`` still to do, so that a learned reward model learns along. Returns how many were done
-    and the environment steps that took.
+    and what the run's metrics need to know: environment ``steps``, phases ``rolled_back``.
     """
     config, compiled, demos, state = search.config, search.compiled, search.demos, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
     weights = _tied(jnp.eye(compiled.parts.streams)[0])
     now = min(config.walk_updates, updates)
     trained = compiled.train(state, occupied, weights, True, now, config.epochs)
-    state = trained.state
+    state, rolled_back = trained.state, trained.info["rolled_back"]
     if compiled.model.learns:
-        state, _ = compiled.update_reward(state, occupied, demos, trained.transitions)
-    return search._replace(state=state), now, float(now * config.window * config.num_envs)
+        state, reward_info = compiled.update_reward(state, occupied, demos, trained.transitions)
+        rolled_back += reward_info["reward_rolled_back"]
+    info = {"steps": float(now * config.window * config.num_envs), "rolled_back": float(rolled_back)}
+    return search._replace(state=state), now, info
+
+
+def warmed_up(search: Search, updates: int) -> Search:
+    """``search`` after that many updates of ``warm_up``."""
+    while updates > 0:
+        search, done, _ = warm_up(search, updates)
+        updates -= done
+    return search
 
 
 def _tied(weighting: jax.Array) -> jax.Array:

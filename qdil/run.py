@@ -12,7 +12,7 @@ import numpy as np
 
 from qdil import checkpoint, hosts, manifest, ppga
 from qdil.checkpoint import Progress
-from qdil.config import Config, ConfigError, from_json, make_config, to_json
+from qdil.config import Config, ConfigError, from_json, make_config, same_but_for_speed, to_json
 from qdil.files import sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
 from qdil.registry import bases, parse_method
@@ -63,7 +63,13 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     try:
         if demos_file:
             demos = demonstrations.load(
-                demos_file, config.env, config.backend, not method.obs_only, config.expert_alignment, config.seed
+                demos_file,
+                config.env,
+                config.backend,
+                not method.obs_only,
+                config.expert_alignment,
+                config.seed,
+                config.demo_episodes,
             )
         search = ppga.begin(config, demos)
     except ValueError as error:
@@ -84,7 +90,10 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
 
 def _check_settings(config: Config, folder: Path) -> None:
     """Raise ConfigError if ``folder`` holds a run, finished or not, with other settings."""
-    if (folder / "config.json").is_file() and json.loads((folder / "config.json").read_text()) != to_json(config):
+    if not (folder / "config.json").is_file():
+        return
+    there, wanted = json.loads((folder / "config.json").read_text()), to_json(config)
+    if not same_but_for_speed(there, wanted) if is_finished(folder) else there != wanted:
         what = "a finished run" if is_finished(folder) else "an unfinished run"
         raise ConfigError(
             f"{folder} holds {what} with other settings; choose another --out, or remove the folder to train anew."
@@ -115,14 +124,20 @@ def _iterations(
     cells = int(search.archives.result.cells)
     while now.iteration < config.iterations:
         if now.warmed < config.warmup_updates:
-            search, warmed, steps = ppga.warm_up(search, config.warmup_updates - now.warmed)
-            now = now._replace(warmed=now.warmed + warmed, env_steps=now.env_steps + steps)
+            search, warmed, info = ppga.warm_up(search, config.warmup_updates - now.warmed)
+            now = now._replace(
+                warmed=now.warmed + warmed,
+                env_steps=now.env_steps + info["steps"],
+                rolled_back=now.rolled_back + info["rolled_back"],
+            )
         else:
             search, info = ppga.iteration(search)
+            info["rolled_back"] += now.rolled_back
             now = now._replace(
                 iteration=now.iteration + 1,
                 env_steps=now.env_steps + info.pop("steps"),
                 restarts=now.restarts + info.pop("restarts"),
+                rolled_back=0.0,
             )
             elites = archive.returns(search.archives)
             row = {

@@ -42,7 +42,7 @@ class ObsStats(NamedTuple):
 class RewardContext(NamedTuple):
     """What a reward model may look at besides its own state."""
 
-    obs_stats: ObsStats  # the one normaliser, for demonstrations and policy data alike
+    obs_stats: ObsStats  # the running normaliser, for demonstrations and policy data alike; GIRIL, PWIL keep their own
     occupied: jax.Array  # (cells...) bool grid over the unit measure square: which archive cells are filled
 
 

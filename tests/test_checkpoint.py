@@ -159,9 +159,9 @@ def test_what_is_loaded_is_what_was_saved(tmp_path):
     search, _ = ppga.iteration(ppga.begin(config, None))
     returns = archive.returns(search.archives)
     past = history.grown(history.none_yet(), 1, returns, int(search.archives.result.cells))
-    checkpoint.save(tmp_path, search, Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), past), None)
+    checkpoint.save(tmp_path, search, Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), past, 6.0), None)
     loaded, progress = checkpoint.load(tmp_path, ppga.begin(config, None), None)
-    assert progress._replace(history=None) == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), None)
+    assert progress._replace(history=None) == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), None, 6.0)
     assert len(past.cell) > 0
     for mine, theirs in zip(past, progress.history, strict=True):
         np.testing.assert_array_equal(mine, theirs)
@@ -181,7 +181,8 @@ def killed_at_random(folder: Path, kills: int) -> None:
     """Train in processes of their own, all but the last killed at random moments."""
     code = (
         "from pathlib import Path; from qdil import run; from qdil.config import make_config; run.SAVE_EVERY = 0.0;"
-        "run.SAVE_SHARE = 1e9; config = make_config('walker2d', 'true', 'smoke', iterations=40);"
+        "run.SAVE_SHARE = 1e9; config = make_config('walker2d', 'true', 'smoke', "
+        f"iterations={4 * kills});"
         f"run.train(config, Path({str(folder)!r}))"
     )
     rng = random.Random(0)
@@ -196,8 +197,8 @@ def killed_at_random(folder: Path, kills: int) -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-@pytest.mark.slow
-def test_ten_kills_change_nothing(tmp_path):
-    run.train(make_config("walker2d", "true", "smoke", iterations=40), tmp_path / "whole")
-    killed_at_random(tmp_path / "killed", 10)
+@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
+def test_kills_change_nothing(tmp_path, kills):
+    run.train(make_config("walker2d", "true", "smoke", iterations=4 * kills), tmp_path / "whole")
+    killed_at_random(tmp_path / "killed", kills)
     assert same_run(tmp_path / "killed", tmp_path / "whole")

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 import qdil
-from qdil.cli import main
+from qdil.cli import COMMANDS, main
 
 
 @pytest.fixture(autouse=True)
@@ -52,9 +52,11 @@ def test_a_malformed_command_exits_with_code_two(arguments, capsys):
     assert "qdil" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["train", "demos", "notebooks"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_explains_itself(command, capsys):
     with pytest.raises(SystemExit) as leaving:
         main([command, "--help"])
     assert leaving.value.code == 0
-    assert "default" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"qdil {command}" in said and len(said.splitlines()) > 5
+    assert "default" in said or "[" not in said.replace("[-h]", "")  # what may be left out has a default

@@ -90,11 +90,15 @@ def wait_for(frame, state, count=1, timeout=120_000):
 
 
 def two_pictures(frame):
-    """The robots' canvas at two moments."""
+    """The robots' canvas now, and as soon as it looks different; at the latest after ten seconds."""
     take = "document.querySelector('.qdil-robots').toDataURL()"
-    first = frame.evaluate(take)
-    frame.wait_for_timeout(400)
-    return first, frame.evaluate(take)
+    first = second = frame.evaluate(take)
+    for _ in range(25):
+        frame.wait_for_timeout(400)
+        second = frame.evaluate(take)
+        if second != first:
+            break
+    return first, second
 
 
 @pytest.fixture
@@ -227,6 +231,7 @@ def test_without_webgl_and_in_a_dark_theme_robots_walk_too(opened, runs):
     if os.environ.get("QDIL_SCREENSHOT"):
         watched.page.screenshot(path=os.environ["QDIL_SCREENSHOT"])
     assert watched.strangers == []
+    assert [line for line in watched.complaints if "webgl" not in line.lower()] == []
 
 
 def test_without_policies_the_heatmap_still_works_and_says_why_no_robot_walks(opened, runs):
@@ -323,10 +328,12 @@ def test_in_jupyterlab_a_click_reaches_the_kernel_and_its_robot_walks(browser, l
     assert labels(page)[0]["cell"] == str(BEST)
     click(page, 12)
     wait_for(page, "plays")
-    begin = time.monotonic()
-    click(page, 6)
-    page.wait_for_function("document.querySelector('.qdil-label[data-state=plays]')?.dataset.cell === '6'")
-    took = time.monotonic() - begin
+    took = []
+    for cell in (6, 12, 6):
+        begin = time.monotonic()
+        click(page, cell)
+        page.wait_for_function(f"document.querySelector('.qdil-label[data-state=plays]')?.dataset.cell === '{cell}'")
+        took.append(time.monotonic() - begin)
     chosen = folder / "chosen.json"
     page.wait_for_timeout(200)
     assert json.loads(chosen.read_text()) == [[0, 6]]
@@ -345,4 +352,4 @@ def test_in_jupyterlab_a_click_reaches_the_kernel_and_its_robot_walks(browser, l
         page.screenshot(path=os.environ["QDIL_SCREENSHOT"])
     watched.is_clean()
     context.close()
-    assert took < 5  # half a second on two idle cores; other work may be going on
+    assert min(took) < 1  # half a second on two idle cores; other work may be going on

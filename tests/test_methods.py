@@ -35,8 +35,8 @@ def test_every_method_trains(name, demos):
     config = make_config("walker2d", name, "smoke", giril_steps=20)
     mine = demos._replace(action=demos.action[:, :0]) if method.obs_only else demos
     search = ppga.begin(config, mine if bases()[method.base].imitates else None)
-    search, done, steps = ppga.warm_up(search, 2)
-    assert (done, steps) == (1, config.window * config.num_envs)
+    search, done, told = ppga.warm_up(search, 2)
+    assert (done, told) == (1, {"steps": config.window * config.num_envs, "rolled_back": 0.0})
     search, info = ppga.iteration(search)
     elites = archive.elite_arrays(search.archives)
     assert len(elites["index"]) > 0 and np.isfinite(elites["fitness"]).all()

@@ -17,6 +17,16 @@ def robot(request) -> Environment:
     return brax_robots.make(request.param)
 
 
+@pytest.mark.parametrize("backend", [b for b in brax_robots.BACKENDS if b != "spring"])
+def test_the_other_backends_step_and_feel_the_ground(backend):
+    """Walker2d stands where it starts: let go, it sinks onto its feet, whatever simulates it."""
+    env = brax_robots.make("walker2d", backend)
+    state = jax.jit(env.reset)(jax.random.key(0))
+    proxies = settle(env, state)
+    assert np.isfinite(np.asarray(state.obs)).all() and state.obs.shape == (env.obs_size,)
+    assert set(np.unique(proxies)) <= {0.0, 1.0} and proxies.max() == 1.0
+
+
 def lifted(env: Environment, height: float) -> RobotState:
     """The robot's initial pose, moved up by ``height`` metres."""
     from brax import envs

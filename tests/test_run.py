@@ -10,7 +10,7 @@ import pytest
 
 from qdil import run
 from qdil.cli import main
-from qdil.config import make_config
+from qdil.config import Config, from_json, make_config
 from qdil.files import sha256
 from qdil.imitation import demos as demonstrations
 from qdil.search import history
@@ -32,7 +32,7 @@ def made(tmp_path_factory) -> Path:
     assert qdil("demos", *common, "--expert", root / "true", "--out", root / "demos.npz", "--episodes", 2) == 0
     for method in ("gail", "mconbo-gail"):
         arguments = [*common, "--method", method, "--demos", root / "demos.npz", "--out", root / method]
-        assert qdil("train", *arguments) == 0
+        assert qdil("train", *arguments, "--set", "demo_episodes=2") == 0
     return root
 
 
@@ -126,6 +126,35 @@ def test_demonstrations_of_another_robot_are_refused(made, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+def test_another_number_of_demonstrations_than_is_recorded_is_refused(made, tmp_path, capsys):
+    arguments = ["--env", "walker2d", "--method", "gail", "--budget", "smoke", "--demos", made / "demos.npz"]
+    assert qdil("train", *arguments, "--out", tmp_path / "run") == 2
+    assert "holds 2 demonstrations, not 1: add --set demo_episodes=2" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_settings_of_speed_alone_do_not_make_a_finished_run_another(made, tmp_path, capsys):
+    copy = tmp_path / "run"
+    shutil.copytree(made / "true", copy)
+    config = json.loads((copy / "config.json").read_text())
+    del config["eval_tile"]  # as a run of an older version
+    (copy / "config.json").write_text(json.dumps(config | {"eval_chunk": 7}))
+    arguments = ["--env", "walker2d", "--method", "true", "--budget", "smoke", "--out", copy]
+    assert qdil("train", *arguments) == 0
+    assert "already finished" in capsys.readouterr().out
+    assert from_json(config).eval_tile == Config.eval_tile
+    assert qdil("train", *arguments, "--set", "gamma=0.5") == 2
+
+
+def test_what_is_changed_is_in_the_name_of_its_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["--env", "walker2d", "--method", "true", "--budget", "smoke", "--set", "iterations=1"]
+    assert qdil("train", *arguments, "--set", "cells=5", "--set", "warmup_updates=0") == 0  # cells are five anyway
+    assert list(Path("results/smoke/walker2d").glob("*/*")) == [
+        Path("results/smoke/walker2d/true+iterations=1+warmup_updates=0/seed-1")
+    ]
+
+
 def test_more_demonstrations_than_elites_are_refused(made, tmp_path, capsys):
     arguments = ["--env", "walker2d", "--budget", "smoke", "--expert", made / "true", "--out", tmp_path / "d.npz"]
     assert qdil("demos", *arguments, "--episodes", 500) == 2
@@ -155,6 +184,8 @@ def test_verify_notices_what_was_changed_or_lost(made, tmp_path, capsys):
     assert qdil("verify", copy) == 0
     said = capsys.readouterr().out
     assert "policies.npz: missing" in said and "No policies here" in said
+    (copy / "metrics.csv").unlink()
+    assert qdil("verify", copy) == 1
     assert qdil("verify", tmp_path / "nowhere") == 2
 
 

@@ -1,0 +1,1 @@
+"""The methods that PPGA grew from, on a problem with exact gradients."""

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from qdil import run
-from qdil.config import to_json
+from qdil.config import SPEED_ALONE, to_json
 from qdil.evidence import tables
 from qdil.evidence.studies import config_of
 
 LEMMA_FILE = "lemma.json"  # the results of Lemma 1's experiments, beside a budget's runs
-SPEED_ALONE = ("eval_chunk", "eval_tile", "devices")  # settings that change how fast a run is, and not what it finds
 
 
 class Origin(NamedTuple):

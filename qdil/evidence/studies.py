@@ -7,16 +7,16 @@ A *study* is the experiments behind one figure or question.
 from collections.abc import Iterable
 from typing import Any
 
-from qdil.config import RELEASED, Config, ConfigError, make_config, parse_settings
+from qdil.config import RELEASED, SPEED_ALONE, Config, ConfigError, make_config, parse_settings
 
 DEMONSTRATIONS = (1, 2, 10)  # besides the budget's own number (Appendix H)
 
 
-def name_of(method: str, **changes: Any) -> str:
-    """The experiment of ``method`` with ``changes``, those that change nothing left out."""
-    default = make_config("walker2d", method, "full")
-    parts = [f"{key}={_text(value)}" for key, value in sorted(changes.items()) if value != getattr(default, key)]
-    return "+".join([method, *parts])
+def name_of(method: str, env: str = "walker2d", budget: str = "full", **changes: Any) -> str:
+    """The experiment of ``method`` with ``changes``, those left out that change nothing, or nothing but the speed."""
+    default = make_config(env, method, budget)
+    told = sorted(key for key, value in changes.items() if value != getattr(default, key) and key not in SPEED_ALONE)
+    return "+".join([method, *(f"{key}={_text(changes[key])}" for key in told)])
 
 
 def _text(value: Any) -> str:

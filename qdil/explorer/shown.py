@@ -12,7 +12,7 @@ from qdil import run
 from qdil.errors import ConfigError
 from qdil.explorer import rollouts
 from qdil.explorer.rollouts import Rollout
-from qdil.imitation.demos import top_fifth
+from qdil.imitation.demos import farthest_points, top_fifth
 from qdil.robots import brax_robots, shapes
 from qdil.robots.brax_robots import ROBOTS
 from qdil.search.evaluate import Policies
@@ -143,11 +143,8 @@ def spread_out(shown: Shown, count: int) -> list[int]:
     points = np.asarray(shown.archive["measures"], float).reshape(-1, 2)
     if not len(points):
         return []
-    chosen = [int(np.argmax(shown.archive["true_return"]))]
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(np.argmax(np.where(np.isin(np.arange(len(points)), chosen), -1.0, distance))))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    best_first = np.argsort(-np.asarray(shown.archive["true_return"]), kind="stable")
+    chosen = best_first[farthest_points(points[best_first], min(count, len(points)))]
     return [int(cell) for cell in np.asarray(shown.archive["index"])[chosen]]
 
 

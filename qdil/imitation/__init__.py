@@ -1,0 +1,1 @@
+"""What stands in for the reward: demonstrations, reward models, the measure bonus."""

@@ -91,13 +91,14 @@ def load(
     needs_actions: bool = True,
     alignment: str = "aligned",
     seed: int = 0,
+    episodes: int | None = None,
 ) -> Demonstrations:
-    """Read and check a demonstrations file.
+    """Read and check a demonstrations file; ``episodes``: how many it must hold, if its rows say of which they are.
 
     A file without an ``action`` column, or with one of width 0, is welcome where ``needs_actions`` is False.
     ``alignment`` "shifted" pairs states with actions as the authors' released program does, see ``shifted``. Raises
     ValueError in one sentence for a missing or unreadable file, another robot's or backend's demonstrations, missing
-    columns, unequal rows, no rows, or numbers that are not finite.
+    columns, unequal rows, no rows, another number of episodes, or numbers that are not finite.
     """
     if not path.is_file():
         raise ValueError(f"no demonstrations at {path}: make them with 'qdil demos --env {robot}'.")
@@ -121,6 +122,9 @@ def load(
     lengths = {data[name].shape[0] if data[name].ndim == (1 if name == "episode" else 2) else 0 for name in columns}
     if len(lengths) != 1 or 0 in lengths:
         raise ValueError(f"{path} has columns of {sorted(lengths)} rows; they must be tables that agree and not empty.")
+    found = len(np.unique(data["episode"])) if "episode" in data else None
+    if None not in (episodes, found) and found != episodes:
+        raise ValueError(f"{path} holds {found} demonstrations, not {episodes}: add --set demo_episodes={found}.")
     with np.errstate(over="ignore"):
         data |= {name: data[name].astype(np.float32) for name in FIELDS if data[name].dtype.kind == "f"}
     if not all(data[name].dtype == np.float32 and np.isfinite(data[name]).all() for name in FIELDS):

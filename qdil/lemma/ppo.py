@@ -35,7 +35,8 @@ def improve(key: jax.Array, mdp: Mdp, theta: jax.Array, occupied: jax.Array, set
 
     As for the robots, the reward of a step is its whole episode's, advantages are GAE's with a critic that sees the
     state alone, and they are normalised within each minibatch. The critic is the mean return from each state in the
-    sampled episodes; a time limit is an end, since Lemma 1's return ends with the episode.
+    sampled episodes; a time limit is an end, since Lemma 1's return ends with the episode. Raises ValueError where
+    minibatches would not be equal.
     """
     if settings.episodes % settings.minibatches:
         raise ValueError(f"minibatches={settings.minibatches} must divide episodes={settings.episodes}.")

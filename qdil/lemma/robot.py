@@ -112,11 +112,7 @@ def _found(occupied: np.ndarray, episodes: Sample) -> np.ndarray:
 
 def _warmed(config: Config, updates: int) -> Search:
     """A search after plain PPO on the true reward."""
-    search, done = ppga.begin(_config(config.env, "true", config.budget, config.seed), None), 0
-    while done < updates:
-        search, now, _ = ppga.warm_up(search, updates - done)
-        done += now
-    return search
+    return ppga.warmed_up(ppga.begin(_config(config.env, "true", config.budget, config.seed), None), updates)
 
 
 def _with_policy_of(teacher: Search, search: Search) -> Search:

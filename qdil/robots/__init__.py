@@ -1,0 +1,1 @@
+"""What a robot is to this project, and the one door to Brax."""

@@ -1,0 +1,1 @@
+"""PPGA's parts: rollouts, VPPO, evaluation, xNES, the archives."""

@@ -54,7 +54,7 @@ def add(archives: Archives, candidates: Candidates) -> np.ndarray:
     Δ_i = f_i − t_e where the candidate was accepted by the soft archive, else 0.
     """
     improvement = np.zeros(len(candidates.fitness))
-    ok = np.flatnonzero(candidates.finite & np.isfinite(candidates.fitness) & np.isfinite(candidates.true_return))
+    ok = np.flatnonzero(usable(candidates))
     if len(ok) == 0:
         return improvement
     good = Candidates(*(field[ok] for field in candidates))
@@ -63,6 +63,11 @@ def add(archives: Archives, candidates: Candidates) -> np.ndarray:
     extra = {name: getattr(good, name) for name in EXTRA}
     archives.result.add(good.theta, good.fitness, good.measures, **extra)
     return improvement
+
+
+def usable(candidates: Candidates) -> np.ndarray:
+    """Which candidates (λ,) may enter: the physics stayed finite, and so are both scores."""
+    return candidates.finite & np.isfinite(candidates.fitness) & np.isfinite(candidates.true_return)
 
 
 def occupied(archives: Archives) -> np.ndarray:

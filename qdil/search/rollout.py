@@ -1,4 +1,4 @@
-"""Driving robots: a training window with auto-reset, and whole-episode evaluation that stops when all have fallen."""
+"""Driving robots: fresh starts, and a training window in which whoever's episode ends starts again."""
 
 from collections.abc import Callable
 from typing import NamedTuple

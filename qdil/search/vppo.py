@@ -306,8 +306,6 @@ def learn(
         "approx_kl": jnp.mean(kl),
         "fitness_reward": jax.lax.pmean(jnp.mean(fitness), AXIS),
         "true_reward": jax.lax.pmean(jnp.mean(transitions.reward), AXIS),
-        "ended": jax.lax.psum(jnp.sum(transitions.ended), AXIS),
-        "proxy": jax.lax.pmean(jnp.mean(transitions.proxy, axis=(0, 1)), AXIS),
         "action_std": jnp.mean(jnp.exp(learner.policy["log_std"])),
     }
     return learner, update_obs_stats(stats, transitions.obs), info

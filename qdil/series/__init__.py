@@ -1,0 +1,1 @@
+"""The notebooks as a series: their index, execution, pages and made tables."""

@@ -1,0 +1,1 @@
+"""For people at a terminal: the bench, plans, verification, a look inside an iteration."""

@@ -123,11 +123,7 @@ def _begun(env: str, method: str, budget: str, **changes: Any) -> ppga.Search:
     """A run with everything compiled: after some warm-up and one iteration, on made-up demonstrations."""
     config = make_config(env, method, budget, **changes)
     search = ppga.begin(config, None if method == "true" else _made_up_demonstrations(config))
-    left = min(WARMED, config.warmup_updates)
-    while left > 0:
-        search, done, _ = ppga.warm_up(search, left)
-        left -= done
-    return ppga.iteration(search)[0]
+    return ppga.iteration(ppga.warmed_up(search, min(WARMED, config.warmup_updates)))[0]
 
 
 def _made_up_demonstrations(config: Config) -> Demonstrations:

@@ -26,11 +26,7 @@ def warmed(config: Config, updates: int) -> ppga.Search:
 
     ``config.method`` must be of a base that does not imitate.
     """
-    search, done = ppga.begin(config, None), 0
-    while done < updates:
-        search, now, _ = ppga.warm_up(search, updates - done)
-        done += now
-    return search
+    return ppga.warmed_up(ppga.begin(config, None), updates)
 
 
 def try_out(search: ppga.Search, theta: jax.Array, seed: int) -> Trials:
