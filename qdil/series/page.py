@@ -19,9 +19,10 @@ SAYS = {
 }
 
 
-def begin(budget: str, env: str, seed: int) -> Markdown:
+def begin(budget: str, env: str, seed: int, note: str | None = None) -> Markdown:
     """Work in the repository's root, wherever the notebook was started; the banner with budget, device and commit.
 
+    ``note`` (Markdown) says which part of a notebook holds runs of another budget than the banner's, where one does.
     Raises ConfigError for a budget, robot or seed that does not exist.
     """
     make_config(env, "true", budget, seed)
@@ -29,7 +30,8 @@ def begin(budget: str, env: str, seed: int) -> Markdown:
     device = f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
     facts = {"budget": budget, "robot": env, "seed": seed, "device": device, "commit": manifest.commit()}
     banner = " · ".join(f"**{name}** {value}" for name, value in facts.items())
-    return Markdown(f"> {banner}\n>\n> The *{budget}* budget is {SAYS[budget]}.")
+    lines = [banner, f"The *{budget}* budget is {SAYS[budget]}.", *([note] if note else [])]
+    return Markdown("\n>\n".join(f"> {line}" for line in lines))
 
 
 def runs(
