@@ -6,12 +6,14 @@ from pathlib import Path
 
 import jax
 from IPython.display import Markdown, display
+from matplotlib.figure import Figure
 
-from qdil import manifest
+from qdil import manifest, plotting, run
 from qdil.config import make_config
 from qdil.evidence import experiments, studies
 
 ROOT = Path(__file__).parent.parent.parent
+OPENED = {"budget": "smoke", "env": "walker2d"}  # by ``begin``; a notebook is a process of its own, and one page
 SAYS = {
     "smoke": "a test that every line runs; nothing has been learned, so read no result out of these pictures",
     "laptop": "a small version of the experiment; the curves are real, the scale is not the paper's",
@@ -27,6 +29,7 @@ def begin(budget: str, env: str, seed: int, note: str | None = None) -> Markdown
     """
     make_config(env, "true", budget, seed)
     os.chdir(ROOT)
+    OPENED.update(budget=budget, env=env)
     device = f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
     facts = {"budget": budget, "robot": env, "seed": seed, "device": device, "commit": manifest.commit()}
     banner = " · ".join(f"**{name}** {value}" for name, value in facts.items())
@@ -52,3 +55,21 @@ def runs(
         lines.append(f"**Not trained yet**, so not shown: {', '.join(missing)}.")
     display(Markdown("\n\n".join(lines)))
     return there
+
+
+def show(figure: Figure | str | None, name: str, env: str | None = None) -> None:
+    """Display a figure and write it as PNG and PDF, called after the page's budget and robot: ``laptop-walker2d-NAME``.
+
+    ``env`` is the robot that it shows where that is not the page's own. A text is displayed and not written, for where
+    there is nothing to draw yet; None is nothing at all. At ``smoke`` files go to a folder that git ignores.
+    """
+    if isinstance(figure, Figure):
+        display(figure)
+        plotting.save(figure, figures_folder(OPENED["budget"]) / f"{OPENED['budget']}-{env or OPENED['env']}-{name}")
+    elif figure is not None:
+        display(Markdown(figure))
+
+
+def figures_folder(budget: str, root: Path = run.RESULTS) -> Path:
+    """Where a budget's figures go: those of ``smoke`` apart, since they show nothing that was learned."""
+    return root / budget / "figures" if budget == "smoke" else root / "figures"
