@@ -176,6 +176,21 @@ def test_the_lemma_is_judged_from_its_results_file(tmp_path):
     assert "* **Lemma 1**: `lemma.json`, made at unknown." in claims.markdown(list(judged.values()), "laptop", tmp_path)
     assert "mdp-falls" not in {v.env for v in claims.judge(tmp_path) if v.claim.id != "C14"}
     assert judged["mdp"].findings[0].means == pytest.approx((0.1,)) and judged["mdp"].findings[0].seeds == (3,)
+    shown = claims.table(list(judged.values())).set_index("robot")
+    assert shown.loc["mdp-falls †", "ours"] == "0 (fell in 50% of 2 trials)"
+    assert "one PPO update at least 0" in shown.loc["mdp", "comparison"]
+
+
+def test_a_seeds_archives_are_one_number_of_the_lemma(tmp_path):
+    (tmp_path / "laptop").mkdir()
+    trials = {"seed": [1, 1, 2, 2], "change": [0.4, 0.2, -0.1, 0.3], "updates": 15}
+    (tmp_path / "laptop" / "lemma.json").write_text(json.dumps({"environments": {"walker2d": trials}}))
+    found = verdict_of(tmp_path, "C14")
+    assert found.findings[0].seeds == (2,)
+    # Resampling (0.3, 0.1) can give no mean outside of them, where resampling the four trials could.
+    assert tuple(found.findings[0].difference) == pytest.approx((0.2, 0.1, 0.3))
+    [row] = claims.table([found]).to_dict("records")
+    assert row["ours"] == "0.2 (fell in 25% of 4 trials)" and "15 PPO updates at least 0" in row["comparison"]
 
 
 @pytest.mark.parametrize(

@@ -321,6 +321,7 @@ def test_the_file_keeps_what_it_has_and_adds_what_is_missing(tmp_path, monkeypat
     direct = trials.by_ppo(record.SEED, record.PROBLEMS["smoke"], Settings())
     np.testing.assert_allclose(written["mdp"]["change"], direct.change, rtol=1e-5)
     assert written["walker2d"]["change"] == pytest.approx([0.3, -0.1])
+    assert written["walker2d"]["updates"] == robot.SIZES["smoke"].updates
     assert record.trials_of(written["walker2d"]) == TRIALS
     stamp = (tmp_path / "smoke" / "lemma.json").read_bytes()
     assert (
@@ -331,6 +332,13 @@ def test_the_file_keeps_what_it_has_and_adds_what_is_missing(tmp_path, monkeypat
     assert (tmp_path / "smoke" / "lemma.json").read_bytes() == stamp and asked == ["walker2d"]
     both = record.write("halfcheetah", "smoke", tmp_path)
     assert list(both)[-1] == "halfcheetah" and both["mdp"] == written["mdp"] and asked == ["walker2d", "halfcheetah"]
+
+
+def test_changes_are_told_by_seed_and_with_what_was_done():
+    several = {"seed": [1, 1, 3], "change": [0.4, 0.2, -0.1]}
+    assert record.changes(several | {"updates": 15}) == ("15 PPO updates", [0.4, 0.2, -0.1], pytest.approx([0.3, -0.1]))
+    assert record.changes(several).done == "some PPO updates"
+    assert record.changes({"change": [0.5]}) == ("one PPO update", [0.5], [0.5])
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):

@@ -13,6 +13,7 @@ from qdil.evidence.readings import NAMES
 from qdil.evidence.studies import STUDIES
 from qdil.evidence.verdicts import KINDS, NO_RUNS, Finding, Part, Verdict
 from qdil.files import replace_file
+from qdil.lemma.trials import ROUNDING
 from qdil.plotting.style import label
 
 HOW_TO_READ = """\
@@ -57,7 +58,7 @@ def table(verdicts: Sequence[Verdict], all_rows: bool = False) -> pd.DataFrame:
             "robot": v.env + (f" {BEYOND}" if v.beyond else ""),
             "comparison": comparison(finding.part),
             "paper": of_paper(v.env, finding.part, v.claim.where == "ours"),
-            "ours": _numbers(finding.part.reading, finding.means),
+            "ours": _numbers(finding.part.reading, finding.means) + _fallen(finding.trials),
             "difference [95 % interval]": _difference(finding),
             "seeds": _seeds(finding.seeds),
             "verdict": words(v, finding.verdict),
@@ -68,6 +69,11 @@ def table(verdicts: Sequence[Verdict], all_rows: bool = False) -> pd.DataFrame:
     ]
     columns = ["id", "robot", "comparison", "paper", "ours", "difference [95 % interval]", "seeds", "verdict"]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _fallen(trials: Sequence[float]) -> str:
+    """In how many single trials of Lemma 1 the probability fell."""
+    return f" (fell in {np.mean(np.asarray(trials) < -ROUNDING):.0%} of {len(trials)} trials)" if trials else ""
 
 
 def _seeds(counts: Sequence[int]) -> str:

@@ -42,6 +42,7 @@ class Finding(NamedTuple):
     seeds: tuple[int, ...]  # runs of each
     difference: Interval  # ours minus reference, or minus the number it is held against
     verdict: str
+    trials: tuple[float, ...] = ()  # single ones of Lemma 1, whose mean alone the verdict speaks of
 
 
 class Verdict(NamedTuple):

@@ -1,13 +1,14 @@
 """The results of Lemma 1's experiments as a file, ``results/<budget>/lemma.json``, which claims and notebook read.
 
 ``environments`` has ``mdp`` (episodes of equal length, as the lemma's proof assumes), ``mdp-falls`` (episodes that can
-end early) and the robots that were tried; each with ``change``, the change of P(m ∈ A_e | π) per trial.
+end early) and the robots that were tried; each with ``change``, the change of P(m ∈ A_e | π) per trial. A robot's
+also name the ``seed`` of every trial and the ``updates`` of PPO between before and after.
 """
 
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,7 +61,8 @@ def write(
             there[name] = of_mdp(budget, settings, falls)
             _save(there, budget, root)
     if env not in there:
-        there[env] = of_robot(robot.run(env, budget, say, size))
+        size = size or robot.SIZES[budget]
+        there[env] = of_robot(robot.run(env, budget, say, size), size.updates)
         _save(there, budget, root)
     return there
 
@@ -72,15 +74,35 @@ def of_mdp(budget: str, settings: Settings, falls: float) -> dict[str, Any]:
     return {"falls": falls, "settings": settings._asdict(), **{k: _numbers(v) for k, v in changes.items()}}
 
 
-def of_robot(done: list[Trial]) -> dict[str, Any]:
-    """Trials of a robot, a list per field, and ``change``."""
+def of_robot(done: list[Trial], updates: int) -> dict[str, Any]:
+    """Trials of a robot, a list per field, and ``change``; each after ``updates`` of PPO."""
     columns = {name: [getattr(trial, name) for trial in done] for name in Trial._fields}
-    return {"change": _numbers([trial.change for trial in done]), **columns}
+    return {"updates": updates, "change": _numbers([trial.change for trial in done]), **columns}
 
 
 def trials_of(environment: Mapping[str, Any]) -> list[Trial]:
     """Undo ``of_robot``."""
     return [Trial(*row) for row in zip(*(environment[name] for name in Trial._fields), strict=True)]
+
+
+class Changes(NamedTuple):
+    """By how much P(m ∈ A_e | π) changed, for claim C14."""
+
+    done: str  # between before and after, in words
+    trials: list[float]  # every one
+    by_seed: list[float]  # means over the trials of a seed, or of a random problem, which has one
+
+
+def changes(environment: Mapping[str, Any]) -> Changes:
+    """A robot's trials with one seed start from the same policy, so only their mean is a sample of its own."""
+    trials_ = [float(change) for change in environment["change"]]
+    seeds = environment.get("seed", range(len(trials_)))
+    by_seed: dict[int, list[float]] = {}
+    for seed, change in zip(seeds, trials_, strict=True):
+        by_seed.setdefault(int(seed), []).append(change)
+    updates = environment.get("updates", "some" if "seed" in environment else 1)  # older files don't say
+    done = "one PPO update" if updates == 1 else f"{updates} PPO updates"
+    return Changes(done, trials_, [float(np.mean(several)) for several in by_seed.values()])
 
 
 def _numbers(values: Any) -> list[float]:
