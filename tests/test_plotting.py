@@ -68,6 +68,11 @@ def test_a_method_has_the_same_colour_everywhere():
         assert plotting.method_colour(f"{name}+gamma=0.5") == colour
 
 
+def test_every_method_has_a_colour_of_its_own():
+    """Also those that no study draws together: a reader meets them in one notebook after the other."""
+    assert len({plotting.method_colour(name) for name in method_names()}) == len(method_names())
+
+
 def test_names_that_are_no_methods_get_looks_of_their_own():
     looks = plotting.styles(["first try", "second try", "gail"])
     assert len({look["color"] for look in looks.values()}) == 3

@@ -28,7 +28,7 @@ METHOD_COLOURS = {
     "mconbo-airl": "#7fbc41",
     "giril": "#e0c000",
     "mconbo-giril": "#997700",
-    "pwil": "#56b4e9",
+    "pwil": "#8561f2",
     "mconbo-pwil": "#332288",
     "maxent": "#bbbbbb",
     "mconbo-maxent": "#4d4d4d",
