@@ -49,8 +49,35 @@ def test_a_later_number_never_stands_in_for_the_papers():
 
 
 def test_spreads_say_what_they_are():
-    assert paper.spread("walker2d", "gail", "coverage") == "± 2.59 % (standard error, 3 seeds)"
+    assert paper.spread("walker2d", "gail", "coverage") == (pytest.approx(0.0259), "standard error", 3)
+    assert paper.spread("walker2d", "gail", "best", 2) == (130, "standard error", 3)
     assert paper.spread("walker2d", "true", "coverage") is None
+
+
+@pytest.mark.parametrize(
+    "env, experiment, there",
+    [
+        ("halfcheetah", "airl", True),
+        ("walker2d", "mbo-gail", False),
+        ("humanoid", "mbo-true", True),
+        ("walker2d", "mbo-true", False),
+        ("walker2d", "gail+demo_episodes=2", True),
+        ("humanoid", "gail+demo_episodes=2", False),
+        ("walker2d", "gail+demo_episodes=10", False),
+        ("humanoid", "mconbo-gail+bonus_p=0.0+bonus_q=1.0", True),
+        ("humanoid", "mconbo-gail+selection=true", False),
+    ],
+)
+def test_what_the_paper_never_ran_is_not_lost(env, experiment, there):
+    assert paper.has(env, experiment) is there
+
+
+def test_the_paper_has_runs_of_every_number_that_is_known():
+    known = paper.numbers()
+    known = known[known["origin"] == paper.PAPER]
+    for row in known.itertuples():
+        usual = row.n_demos in (4,) or row.n_demos != row.n_demos
+        assert paper.has(row.environment, row.method if usual else f"{row.method}+demo_episodes={row.n_demos:.0f}")
 
 
 def test_the_experts_progress_ends_where_its_run_does():

@@ -47,10 +47,17 @@ def test_the_papers_numbers_stand_beside_ours(tmp_path):
                                                   "mconbo-gail+bonus_q=1.0": [0.8]})  # fmt: skip
     names = ["gail", "airl", "mconbo-gail+demo_episodes=2", "mconbo-gail+bonus_q=1.0"]
     beside = tables.beside_paper(runs_of(tmp_path, names), "walker2d")["coverage"]
-    assert beside.loc["gail"].to_dict() == {"ours": "50.0%", "paper": "69.3%"}
-    assert beside.loc["mconbo-gail+demo_episodes=2", "paper"] == "91.1%"
+    assert beside.loc["gail"].to_dict() == {"ours": "50.0%", "paper": "69.3 ± 2.6% (s.e.)"}
+    assert beside.loc["mconbo-gail+demo_episodes=2", "paper"] == "91.1 ± 0.1% (s.e.)"
     for lost in ("airl", "mconbo-gail+bonus_q=1.0"):
         assert beside.loc[lost, "paper"] == "not recoverable"
+
+
+def test_what_the_paper_never_ran_says_so_and_a_single_seed_has_no_spread():
+    assert tables.of_paper("walker2d", "mbo-gail", "best") == "not in the paper"
+    assert tables.of_paper("walker2d", "mconbo-gail+selection=true", "best") == "not in the paper"
+    assert tables.of_paper("walker2d", "mconbo-gail+demo_episodes=10", "best") == "not recoverable"
+    assert tables.of_paper("humanoid", "true", "best") == "9691"
 
 
 def test_the_later_versions_table_is_what_the_file_says():

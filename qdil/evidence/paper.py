@@ -7,14 +7,42 @@ figures and its authors' result files, and ``LATER``, the table of the paper's l
 
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 import pandas as pd
 
 PAPER, LATER = "paper", "later version"
 METRICS = ("qd_score", "coverage", "best", "average")
 NOT_RECOVERABLE = "not recoverable"
+NOT_IN_PAPER = "not in the paper"
 # What the later version calls the bonus added to a base.
 LATER_NAMES = {"mconbo-gail": "ebc-gail", "mconbo-vail": "ebc-vail"}
+# What the paper has runs of, on all three robots, whether or not their numbers are known (Figs. 5, 8, 11, 15, Table 1).
+EVERYWHERE = (
+    *("true", "gail", "mcond-gail", "mconbo-gail", "mconbo-gail-obs", "vail", "mconbo-vail"),
+    *("airl", "giril", "pwil", "maxent"),
+)
+ON_ONE_ROBOT = {  # and on one alone (Figs. 12 to 14, 16)
+    "mbo-true": "humanoid",
+    **{f"{name}+demo_episodes={n}": "walker2d" for name in ("gail", "mconbo-gail") for n in (1, 2)},
+    "mconbo-gail+demo_episodes=10": "walker2d",
+}
+
+
+class Spread(NamedTuple):
+    """How far a number of the paper spreads over its seeds."""
+
+    value: float  # in reward units, of coverage as a share of the cells
+    kind: str  # such as "standard error"
+    seeds: int
+
+
+def has(env: str, experiment: str) -> bool:
+    """Whether the paper has runs of an experiment on a robot. Where Fig. 10 varies p and q it does not say: on any."""
+    method, *settings = experiment.split("+")
+    if method == "mconbo-gail" and settings and all(text.startswith(("bonus_p=", "bonus_q=")) for text in settings):
+        return True
+    return experiment in EVERYWHERE or ON_ONE_ROBOT.get(experiment) == env
 
 
 @cache
@@ -49,14 +77,14 @@ def value(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PA
     return None if found.empty else float(found["value"].mean()) / scale
 
 
-def spread(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PAPER) -> str | None:
-    """How far the paper's number spreads over its seeds, with the kind of spread in words; None where unknown."""
+def spread(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PAPER) -> Spread | None:
+    """How far the number that ``value`` gives spreads over its seeds; None where unknown."""
     found = _found(env, method, metric, n_demos, origin).dropna(subset="spread")
     if len(found) != 1:
         return None
     row = found.iloc[0]
-    unit = " %" if metric == "coverage" else ""
-    return f"± {row['spread']:,.4g}{unit} ({row['spread_kind']}, {row['n_seeds']} seeds)"
+    scale = 100.0 if metric == "coverage" else 1.0
+    return Spread(float(row["spread"]) / scale, str(row["spread_kind"]), int(row["n_seeds"]))
 
 
 def _found(env: str, method: str, metric: str, n_demos: int, origin: str) -> pd.DataFrame:

@@ -25,6 +25,7 @@ COLUMNS = {
     "million_steps": "million steps",
     "minutes": "minutes",
 }
+SHORT = {"standard error": "s.e."}
 # What a number is multiplied by, its format and its unit; all others are whole numbers.
 FORMS = {
     "qd_score": (1, ",.0f", ""),
@@ -96,11 +97,7 @@ def summary(runs: Runs) -> pd.DataFrame:
 
 
 def beside_paper(runs: Runs, env: str) -> pd.DataFrame:
-    """``summary``'s four metrics, each with the paper's number beside ours; texts, "not recoverable" where it is lost.
-
-    An experiment with settings that the paper did not report, other numbers of demonstrations aside, has no number of
-    the paper's to stand beside.
-    """
+    """``summary``'s four metrics, each with the paper's number beside ours; texts, see ``of_paper``."""
     ours = summary(runs)
     table = {}
     for key in paper.METRICS:
@@ -111,18 +108,36 @@ def beside_paper(runs: Runs, env: str) -> pd.DataFrame:
 
 
 def of_paper(env: str, experiment: str, metric: str) -> str:
-    """The paper's number for an experiment as a text, or "not recoverable"."""
+    """The paper's number for an experiment as a text, with its spread where that is known: "1,429 ± 42 (s.e.)".
+
+    "not recoverable" where it is lost, "not in the paper" where there never was one.
+    """
     number = paper_value(env, experiment, metric)
-    return paper.NOT_RECOVERABLE if number is None else text(metric, number)
+    if number is None:
+        return paper.NOT_RECOVERABLE if paper.has(env, experiment) else paper.NOT_IN_PAPER
+    method, demos = _method_and_demos(experiment)
+    spread = paper.spread(env, method, metric, demos)
+    if spread is None:
+        return text(metric, number)
+    return f"{text(metric, number, spread.value)} ({SHORT.get(spread.kind, spread.kind)})"
 
 
 def paper_value(env: str, experiment: str, metric: str, origin: str = paper.PAPER) -> float | None:
-    """The paper's number for an experiment; None where it is lost or the experiment is not one of the paper's."""
+    """The paper's number for an experiment; None where it is lost or the experiment is not one of the paper's.
+
+    An experiment with other settings than a number of demonstrations has no number of the paper's.
+    """
+    method, demos = _method_and_demos(experiment)
+    return paper.value(env, method, metric, demos, origin) if demos else None
+
+
+def _method_and_demos(experiment: str) -> tuple[str, int]:
+    """An experiment's method and number of demonstrations, 4 unless named; 0 where it has any other setting."""
     method, *settings = experiment.split("+")
     demos = [setting.removeprefix("demo_episodes=") for setting in settings if setting.startswith("demo_episodes=")]
     if len(demos) < len(settings):
-        return None
-    return paper.value(env, method, metric, int(demos[0]) if demos else 4, origin)
+        return method, 0
+    return method, int(demos[0]) if demos else 4
 
 
 def share_of_expert(runs: Mapping[str, Runs], metric: str = "qd_score") -> pd.DataFrame:
