@@ -65,6 +65,7 @@ STUDIES: dict[str, tuple[str, ...]] = {
         "mconbo-gail+expert_alignment=shifted",
         "mconbo-gail+expert_obs=raw",
         "mconbo-gail+penalty_mixing=element",
+        "mconbo-gail+gradient_penalty=0.0",  # the other way round: the program has one, the paper mentions none
         "mconbo-vail",
         "mconbo-vail+vail_beta=fixed",
         "mconbo-pwil",
