@@ -69,7 +69,7 @@ def test_its_first_code_is_its_parameters_and_its_third_opens_the_page(name):
     parameters = [target.id for line in ast.parse(cells[0].source).body for target in line.targets]
     assert parameters[:3] == ["budget", "env", "seed"]
     assert "%matplotlib inline" in cells[1].source
-    assert "page.begin(budget, env, seed)" in cells[2].source
+    assert "page.begin(budget, env, seed" in cells[2].source
 
 
 @pytest.mark.parametrize("name", NAMES)
