@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from fake_runs import write_arms, write_run
 
@@ -40,6 +41,18 @@ def test_summaries_give_mean_and_standard_deviation(tmp_path):
     assert summary.loc["gail", "QD-score"] == f"3,000 ± {spread:,.0f}"
     assert summary.loc["true", "QD-score"] == "1,234" and list(summary["seeds"]) == ["1", "3"]
     assert summary.loc["gail", "coverage"] == "100.0 ± 0.0%"
+
+
+def test_ends_are_over_the_last_iterations_of_all_seeds(tmp_path):
+    write_arms(tmp_path, "walker2d", "best", {"gail": [10.0, 30.0]})
+    for seed, first in ((1, 99.0), (2, 0.0)):  # the first of three iterations: left out
+        path = tmp_path / "laptop" / "walker2d" / "gail" / f"seed-{seed}" / "metrics.csv"
+        table = pd.read_csv(path)
+        table.loc[0, "best"] = first
+        table.to_csv(path, index=False)
+    ends = tables.ends(runs_of(tmp_path, ["gail"]), iterations=2)
+    assert ends.loc["gail", "best"] == f"20 ± {np.std([10, 10, 30, 30], ddof=1):.0f}" and len(ends.columns) == 4
+    assert tables.ends({}).empty
 
 
 def test_the_papers_numbers_stand_beside_ours(tmp_path):

@@ -27,8 +27,7 @@ def ours(runs: tables.Runs, env: str, budget: str) -> pd.DataFrame:
 
 def published(env: str) -> pd.DataFrame:
     """The same of the paper's figure, as far as it could be read; ``spread`` is its standard error of three seeds."""
-    known = paper.numbers()
-    known = known[(known["origin"] == paper.PAPER) & (known["environment"] == env) & known["n_demos"].notna()]
+    known = _known(env)
     shares = known["metric"] == "coverage_pct"
     scale = np.where(shares, 0.01, 1.0)
     return pd.DataFrame(
@@ -40,3 +39,13 @@ def published(env: str) -> pd.DataFrame:
             "spread": known["spread"] * scale,
         }
     ).reset_index(drop=True)
+
+
+def notes(env: str) -> str:
+    """What whoever read those numbers off the figure remarked; empty where there is nothing."""
+    return "; ".join(_known(env)["note"].dropna().unique())
+
+
+def _known(env: str) -> pd.DataFrame:
+    rows = paper.numbers()
+    return rows[(rows["origin"] == paper.PAPER) & (rows["environment"] == env) & rows["n_demos"].notna()]

@@ -96,6 +96,16 @@ def summary(runs: Runs) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index", columns=["seeds", *COLUMNS.values()]).rename_axis("experiment")
 
 
+def ends(runs: Runs, iterations: int = 10) -> pd.DataFrame:
+    """The four metrics over the last ``iterations`` of all seeds together, as in Table 9: mean ± standard deviation."""
+    rows = {}
+    for name, seeds in read_metrics(runs).items():
+        last = pd.concat([seed.tail(iterations) for seed in seeds])
+        rows[name] = {COLUMNS[key]: text(key, last[key].mean(), last[key].std()) for key in paper.METRICS}
+    columns = [COLUMNS[key] for key in paper.METRICS]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("experiment")
+
+
 def beside_paper(runs: Runs, env: str) -> pd.DataFrame:
     """``summary``'s four metrics, each with the paper's number beside ours; texts, see ``of_paper``."""
     ours = summary(runs)

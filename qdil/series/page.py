@@ -1,7 +1,7 @@
 """What every notebook opens with: where it runs, what its numbers are made of, and the runs that it shows."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
@@ -9,7 +9,7 @@ from IPython.display import Markdown, display
 from matplotlib.figure import Figure
 
 from qdil import manifest, plotting, run
-from qdil.config import make_config
+from qdil.config import ROBOTS, make_config
 from qdil.evidence import experiments, studies
 
 ROOT = Path(__file__).parent.parent.parent
@@ -55,6 +55,38 @@ def runs(
         lines.append(f"**Not trained yet**, so not shown: {', '.join(missing)}.")
     display(Markdown("\n\n".join(lines)))
     return there
+
+
+def robots(names: Sequence[str], budget: str) -> Iterator[tuple[str, dict[str, list[Path]]]]:
+    """Robots with finished runs of some experiments, and those runs; each in turn gets a heading with what is missing.
+
+    Nothing is trained. The heading stands over whatever is displayed before the next robot is asked for.
+    """
+    for env in ROBOTS:
+        there = experiments.finished(names, env, budget)
+        missing = ", ".join(f"`{name}`" for name in names if name not in there)
+        said = f": not trained yet, so not shown: {missing}" if there and missing else ""
+        display(Markdown(f"**{env}**{said}." if there else f"**{env}**: no finished runs at this budget."))
+        if there:
+            yield env, there
+
+
+def demonstrations(env: str, budget: str) -> Path | None:
+    """The file of a robot's demonstrations, as many as the budget's methods learn from; None, and why, without one.
+
+    For the parts of a notebook that ask reward models about demonstrated steps: they are left out where it is None.
+    """
+    path = run.demos_path(budget, env, make_config(env, "true", budget).demo_episodes)
+    if path.is_file():
+        return path
+    of = f"--env {env} --budget {budget}"
+    display(
+        Markdown(
+            f"**No demonstrations yet**: there is no `{path.as_posix()}`, so what needs demonstrated steps is left out "
+            f"below. `qdil train --method true {of}` trains the expert, and `qdil demos {of}` records it."
+        )
+    )
+    return None
 
 
 def show(figure: Figure | str | None, name: str, env: str | None = None) -> None:
