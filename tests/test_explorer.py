@@ -181,7 +181,7 @@ def test_the_form_follows_where_it_runs(folder, monkeypatch):
     assert isinstance(qdil.explore(folder), page.Page)
     monkeypatch.setenv("JPY_SESSION_NAME", "explore.ipynb")
     live = qdil.explore(folder)
-    assert live.selected == [("true (expert)", 23)]
+    assert live.selected == [("Expert", 23)]
     monkeypatch.setenv("QDIL_EXPLORER", "page")
     assert isinstance(qdil.explore(folder), page.Page)
 
@@ -243,7 +243,7 @@ def test_films_that_cannot_be_are_refused(folder, tmp_path):
         qdil.render(folder, [6], tmp_path / "gait.avi")
     with pytest.raises(ConfigError, match="1 to 4 cells"):
         qdil.render(folder, [0, 6, 7, 12, 18], tmp_path / "gait.png")
-    with pytest.raises(ConfigError, match="cell 5 of 'true .expert.' is empty"):
+    with pytest.raises(ConfigError, match="cell 5 of 'Expert' is empty"):
         qdil.render(folder, [5], tmp_path / "gait.png")
     with pytest.raises(ConfigError, match="too few elites"):
         qdil.render(folder, 9, tmp_path / "gait.png")

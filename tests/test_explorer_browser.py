@@ -343,8 +343,8 @@ def test_in_jupyterlab_a_click_reaches_the_kernel_and_its_robot_walks(browser, l
     page.keyboard.press("ArrowRight")  # not JupyterLab's own key while the heatmap has the focus
     page.wait_for_timeout(500)
     assert labels(page)[0]["state"] == "empty"
-    page.locator(".widget-dropdown select").first.select_option("gail")
-    page.wait_for_function("document.querySelector('.qdil-title').innerText.includes('gail')")
+    page.locator(".widget-dropdown select").first.select_option("GAIL")
+    page.wait_for_function("document.querySelector('.qdil-title').innerText.includes('GAIL')")
     click(page, 13)
     wait_for(page, "plays")
     assert json.loads(chosen.read_text()) == [[1, 13]]

@@ -1,6 +1,7 @@
 """The archive explorer: click a cell, watch that robot move; in a notebook, in a page of its own, or in a film."""
 
 import os
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,7 +14,9 @@ from qdil.explorer.widget import Explorer
 __all__ = ["explore", "render"]
 
 FORM = "QDIL_EXPLORER"  # an environment variable: "live" or "page" overrules what is found out
-SIGNS_OF_LIFE = ("JPY_SESSION_NAME", "VSCODE_PID")  # set for kernels that Jupyter or VS Code started for a reader
+# Set for kernels that Jupyter or VS Code started for a reader, the second not under WSL, nor the third in containers.
+SIGNS_OF_LIFE = ("JPY_SESSION_NAME", "VSCODE_PID", "VSCODE_CWD")
+VSCODES_VARIABLE = "__vsc_ipynb_file__"  # what VS Code tells a notebook of itself, wherever its kernel runs
 
 
 def explore(
@@ -41,4 +44,13 @@ def explore(
 
 def _is_live() -> bool:
     form = os.environ.get(FORM)
-    return form == "live" if form else any(sign in os.environ for sign in SIGNS_OF_LIFE)
+    if form:
+        return form == "live"
+    return any(sign in os.environ for sign in SIGNS_OF_LIFE) or VSCODES_VARIABLE in _users_variables()
+
+
+def _users_variables() -> Mapping[str, Any]:
+    """The variables of the notebook, if this is one."""
+    ipython = sys.modules.get("IPython")  # there, if this is one; importing it otherwise takes half a second
+    shell = ipython.get_ipython() if ipython else None
+    return shell.user_ns if shell else {}

@@ -1,11 +1,13 @@
 """Elites' episodes as files: a film (mp4), an animation (gif) or a strip of moments (png)."""
 
+import contextlib
 import io
 import itertools
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import IO, Any
 
 import imageio_ffmpeg
 import matplotlib
@@ -29,16 +31,24 @@ GIF_RATE, MP4_RATE = 20, 40  # frames per second
 GIF_COLOURS = 96
 
 
-def render(runs: Runs, cells: int | Sequence[int], path: str | Path, speed: float = 0.5, width: int = 240) -> Path:
+def render(
+    runs: Runs,
+    cells: int | Sequence[int],
+    path: str | Path,
+    speed: float = 0.5,
+    width: int = 240,
+    config: Mapping[str, Any] | None = None,
+) -> Path:
     """Draw the episodes of some elites of a run, side by side and in step, into ``path``; returns it.
 
     ``runs``: a run as ``explore`` takes it (of several, the first). ``cells``: numbers of cells, at most four; or how
     many to choose, among the best fifth and as different as possible, as demonstrators are. ``path`` ends in ``.mp4``,
-    ``.gif`` (both at ``speed`` times real time) or ``.png`` (a row of moments for each cell). ``width``: pixels of a
-    robot's picture. Below each robot: which feet touch the ground, over the episode. Nothing needs a GPU or a screen.
+    ``.gif`` (both at ``speed`` times real time) or ``.png`` (a row of moments for each cell, out of the middle second).
+    ``width``: pixels of a robot's picture. Below each robot: which feet touch the ground, over the episode of a film,
+    over the second of a row. ``config``: the settings of an archive in memory. Nothing needs a GPU or a screen.
     Raises ConfigError for another suffix, cells that are empty or too many, and runs without policies.
     """
-    path, shown = Path(path), showing.read(runs)[0]
+    path, shown = Path(path), showing.read(runs, config)[0]
     writers: dict[str, Callable[[Shown, list[int], Path, float, int], None]] = {
         ".mp4": _mp4, ".gif": _gif, ".png": _png
     }  # fmt: skip
@@ -46,7 +56,7 @@ def render(runs: Runs, cells: int | Sequence[int], path: str | Path, speed: floa
         raise ConfigError(f"'{path.name}' has no known suffix; choose one of {', '.join(writers)}.")
     if speed <= 0 or width < 32:
         raise ConfigError("speed must be above 0 and width at least 32 pixels.")
-    chosen = choose(shown, cells) if isinstance(cells, int) else [int(cell) for cell in cells]
+    chosen = choose(shown, int(cells)) if isinstance(cells, int | np.integer) else [int(cell) for cell in cells]
     if not 1 <= len(chosen) <= MOST:
         raise ConfigError(f"a film shows 1 to {MOST} cells, not {len(chosen)}.")
     writers[path.suffix](shown, chosen, path, speed, width)
@@ -121,9 +131,7 @@ def _mp4(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
     try:
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as coder:
             assert coder.stdin is not None and coder.stderr is not None
-            for frame in itertools.chain([first], frames):
-                coder.stdin.write(frame.tobytes())
-            coder.stdin.close()
+            _feed(coder.stdin, itertools.chain([first], frames))
             said = coder.stderr.read().decode()
         if coder.returncode:
             raise OSError(f"the film could not be coded: {said.strip()}")
@@ -132,16 +140,30 @@ def _mp4(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
         draft.unlink(missing_ok=True)
 
 
+def _feed(pipe: IO[bytes], frames: Iterable[np.ndarray]) -> None:
+    """Write frames until the coder no longer reads: then it has said why, and that is the error to tell."""
+    with contextlib.suppress(BrokenPipeError), pipe:
+        for frame in frames:
+            pipe.write(frame.tobytes())
+
+
 def _png(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -> None:
-    """A row per cell: moments of the middle second of its episode (or of all of it, if it is shorter)."""
+    """A row per cell: moments of the middle second of its episode (or of all of it, if it is shorter).
+
+    Below them, the feet on the ground in that second: a mark for each moment stands under its picture.
+    """
     rows = []
     for cell, rollout in zip(cells, showing.roll_out(shown, cells), strict=True):
         steps = len(rollout.reward)
         taken = min(steps, int(np.ceil(1 / rollout.seconds)))
-        moments = np.linspace((steps - taken) // 2, (steps + taken) // 2 - 1, MOMENTS).astype(int)
-        pictures = [still(shown, rollout, int(step), width, width) for step in moments]
-        rows += [_head(shown, cell, MOMENTS * width), np.concatenate(pictures, axis=1)]
-        rows.append(_gait(rollout, steps, MOMENTS * width))
+        first = (steps - taken) // 2
+        moments = ((np.arange(MOMENTS) + 0.5) / MOMENTS * taken).astype(int)
+        pictures = [still(shown, rollout, first + int(step), width, width) for step in moments]
+        strip = _gait(rollout, taken, MOMENTS * width, first)
+        for step in moments:
+            strip = _playhead(strip, int(step), taken)
+        about = f", bars: these {taken * rollout.seconds:.2g} s"
+        rows += [_head(shown, cell, MOMENTS * width, about), np.concatenate(pictures, axis=1), strip]
     buffer = io.BytesIO()
     Image.fromarray(np.concatenate(rows)).save(buffer, "PNG", optimize=True)
     replace_file(path, lambda file: file.write(buffer.getvalue()))
@@ -152,22 +174,22 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts/ttf/DejaVuSans.ttf"), size)
 
 
-def _head(shown: Shown, cell: int, width: int) -> np.ndarray:
-    """(46, width, 3): what a robot's return is and how long its feet are on the ground."""
+def _head(shown: Shown, cell: int, width: int, about: str = "") -> np.ndarray:
+    """(46, width, 3): what a robot's return is and how long its feet are on the ground; ``about`` the rest."""
     assert shown.config is not None
     row = int(np.flatnonzero(np.asarray(shown.archive["index"]) == cell)[0])
     first, second = (round(100 * float(share)) for share in shown.archive["measures"][row])
     picture = Image.new("RGB", (width, 46), "white")
     pen = ImageDraw.Draw(picture)
     pen.text((8, 5), f"return {shown.archive['true_return'][row]:.0f}", TEXT, _font(14))
-    pen.text((8, 25), f"feet on the ground {first} %, {second} %", TEXT, _font(11))
+    pen.text((8, 25), f"feet on the ground {first} %, {second} %{about}", TEXT, _font(11))
     return np.asarray(picture)
 
 
-def _gait(rollout: Rollout, longest: int, width: int) -> np.ndarray:
-    """(34, width, 3): when each foot touches the ground, on the time axis of the longest episode."""
+def _gait(rollout: Rollout, count: int, width: int, first: int = 0) -> np.ndarray:
+    """(34, width, 3): when each foot touches the ground in ``count`` steps from ``first`` on; white after the end."""
     strip = np.full((34, width, 3), 255, np.uint8)
-    step = np.minimum(np.arange(width) * longest // width, longest - 1)
+    step = first + np.minimum(np.arange(width) * count // width, count - 1)
     there = step < len(rollout.reward)
     for foot in range(rollout.contact.shape[1]):
         on = there & rollout.contact[np.minimum(step, len(rollout.reward) - 1), foot]

@@ -28,20 +28,34 @@ PAGE = """<!doctype html>
 <style>html, body {{ margin: 0; }} {css}</style>
 </head>
 <body>
-<div id="qdil-explorer"></div>
+<div id="qdil-explorer"></div>{without}
 <script>
 globalThis.qdilPage = {data};
-const packed = Uint8Array.from(atob("{script}"), (c) => c.charCodeAt(0));
-new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"))).text().then((code) => {{
+function failed(why) {{
+  const place = document.getElementById("qdil-explorer");
+  if (place.firstElementChild) return; // it had started
+  place.textContent = `The explorer could not start (${{why}}); it needs a browser of 2023 or later.`;
+  Object.assign(place.style, {{ background: "#fff", color: "#1b1f24", padding: "8px", font: "14px sans-serif" }});
+}}
+addEventListener("error", (event) => failed(event.message));
+async function start() {{
+  const packed = Uint8Array.from(atob("{script}"), (c) => c.charCodeAt(0));
+  const inflated = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const script = document.createElement("script");
   script.type = "module";
-  script.textContent = code;
+  script.textContent = await new Response(inflated).text();
   document.head.append(script);
-}});
+}}
+start().catch((error) => failed(error.message));
 </script>
 </body>
 </html>
 """
+
+# In a page of its own; in a notebook's output the picture lies under the page, and is seen where scripts don't run.
+WITHOUT_SCRIPTS = """
+<noscript><p>Scripts are switched off in this browser, so nothing moves here.</p>
+<img src="data:image/png;base64,{picture}" alt="{alt}" style="display:block;max-width:100%"></noscript>"""
 
 FRAGMENT = (
     '<div style="position:relative;width:100%;max-width:1180px;min-height:660px">'
@@ -62,34 +76,54 @@ class Page:
         return save(self.runs, self.state, path, self.recordings if recordings is None else recordings)
 
     def _repr_html_(self) -> str:
-        names = ", ".join(shown.name for shown in self.runs)
-        alt = f"Archive explorer ({names}): a heatmap of the archive, and the robot of a chosen cell walking."
-        return fragment(page(self.runs, self.state, self.recordings), picture(self.runs, self.state), alt)
+        document = page(self.runs, self.state, self.recordings)
+        return fragment(document, picture(self.runs, self.state), description(self.runs))
+
+
+def description(runs: Sequence[Shown]) -> str:
+    """What a picture of the explorer shows, for those who don't see it."""
+    names = ", ".join(shown.name for shown in runs)
+    return f"Archive explorer ({names}): a heatmap of the archive, and the robot of a chosen cell walking."
 
 
 def save(runs: Sequence[Shown], state: dict[str, Any], path: str | Path, recordings: int = RECORDINGS) -> Path:
     """Write the explorer of ``runs`` as one HTML file that needs no kernel and no network; returns its path."""
-    content = page(runs, state, recordings).encode()
+    drawn = base64.b64encode(picture(runs, state)).decode()
+    without = WITHOUT_SCRIPTS.format(picture=drawn, alt=html.escape(description(runs)))
+    content = page(runs, state, recordings, without).encode()
     replace_file(Path(path), lambda file: file.write(content))
     return Path(path)
 
 
-def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS) -> str:
+def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS, without: str = "") -> str:
     """A whole HTML document: the explorer of ``runs`` with about ``recordings`` episodes, and nothing to load.
 
     ``state``: what is chosen at first (run, against, field, iteration, selected, as in the widget). Episodes are of
-    cells spread over each archive, those of ``selected`` always among them.
+    cells spread over each archive, those of ``selected`` always among them; fewer where they would take up more than
+    MOST_BYTES, and the page says how many cells have one. ``without``: HTML for browsers that run no scripts.
     """
-    playing = [shown.plays for shown in runs]
-    share = -(-recordings // max(1, sum(playing)))
     state = {"run": 0, "against": -1, "field": "true_return", "iteration": -1, "selected": [], **state}
-    wanted = [[cell for run, cell in state["selected"] if run == i] for i in range(len(runs))]
+    packed, playable = _recorded(runs, state["selected"], recordings)
+    data = {"show": showing.told(runs, playable), "rollouts": packed, "state": state}
+    return PAGE.format(
+        title=html.escape(f"Archive explorer: {', '.join(shown.name for shown in runs)}"),
+        css=(STATIC / "explorer.css").read_text(),
+        data=json.dumps(data).replace("<", "\\u003c"),
+        script=base64.b64encode(zlib.compress((STATIC / "explorer.js").read_bytes(), 9)).decode(),
+        without=without,
+    )
+
+
+def _recorded(runs: Sequence[Shown], selected: Sequence[Any], count: int) -> tuple[dict[str, str], list[list[int]]]:
+    """About ``count`` episodes by "run:cell", packed, in base64; and which cells of each run they are of."""
+    playing = [shown.plays for shown in runs]
+    share = -(-count // max(1, sum(playing)))
     packed: dict[str, str] = {}
     playable: list[list[int]] = []
     left = MOST_BYTES
     for i, shown in enumerate(runs):
-        cells = [c for c in dict.fromkeys(wanted[i] + showing.spread_out(shown, share)) if c in shown.archive["index"]]
-        cells = cells if playing[i] else []
+        wanted = [cell for run, cell in selected if run == i] + showing.spread_out(shown, share)
+        cells = [cell for cell in dict.fromkeys(wanted) if cell in shown.archive["index"]] if playing[i] else []
         kept: list[int] = []
         allowance = left // max(1, sum(playing[i:]))
         for cell, rollout in zip(cells, showing.roll_out(shown, cells) if cells else [], strict=True):
@@ -100,13 +134,7 @@ def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDI
             packed[f"{i}:{cell}"] = base64.b64encode(content).decode()
             kept.append(cell)
         playable.append(kept)
-    data = {"show": showing.told(runs, playable), "rollouts": packed, "state": state}
-    return PAGE.format(
-        title=html.escape(f"Archive explorer: {', '.join(shown.name for shown in runs)}"),
-        css=(STATIC / "explorer.css").read_text(),
-        data=json.dumps(data).replace("<", "\\u003c"),
-        script=base64.b64encode(zlib.compress((STATIC / "explorer.js").read_bytes(), 9)).decode(),
-    )
+    return packed, playable
 
 
 def fragment(document: str, picture: bytes, alt: str) -> str:

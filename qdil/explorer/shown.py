@@ -11,6 +11,7 @@ import numpy as np
 from qdil import run
 from qdil.errors import ConfigError
 from qdil.explorer import rollouts
+from qdil.explorer.names import title
 from qdil.explorer.rollouts import Rollout
 from qdil.imitation.demos import farthest_points, top_fifth
 from qdil.robots import brax_robots, shapes
@@ -18,7 +19,6 @@ from qdil.robots.brax_robots import ROBOTS
 from qdil.search.evaluate import Policies
 
 NEEDED = ("index", "measures", "fitness", "true_return", "length", "cells")
-METHOD_NAMES = {"true": "true (expert)"}
 POLICY = ("solution", "obs_mean", "obs_std")
 Archive = Mapping[str, Any]
 Runs = str | Path | Archive | Sequence[Any] | Mapping[str, Any]
@@ -46,9 +46,9 @@ def read(runs: Runs, config: Mapping[str, Any] | None = None) -> list[Shown]:
     """The archives to show, in the order given.
 
     ``runs``: a run's folder; an archive in memory (with ``config``, the settings of its run, its robots can walk too);
-    several of either, in a sequence or a mapping by name; or a mapping of names to sequences of folders, one per seed,
-    of which the first is shown. Raises ConfigError for what is none of these, for nothing at all, for archives without
-    two measures, and for runs of different robots.
+    several of either, in a sequence or a mapping by name (a method's name is spelled as the paper does); or a mapping
+    of names to sequences of folders, one per seed, of which the first is shown. Raises ConfigError for what is none of
+    these, for nothing at all, for archives without two measures, and for runs of different robots.
     """
     found = [_one(name, what, config) for name, what in _named(runs)]
     if not found:
@@ -86,7 +86,8 @@ def _one(name: str, what: Any, config: Mapping[str, Any] | None) -> Shown:
     settings = run.read_config(folder)
     why = "" if (folder / "policies.npz").is_file() else "its policies are not on this machine"
     archive = run.read_archive(folder, policies=not why)
-    named = name or METHOD_NAMES.get(settings["method"], str(settings["method"]))
+    method = str(settings["method"])
+    named = title(method) if name in ("", method) else name
     return _checked(Shown(named, settings, archive, _demonstrators(folder, settings), _history(folder), why))
 
 

@@ -1,6 +1,10 @@
 """The explorer in a live notebook: the front end as a widget, menus around it, rollouts computed at each click."""
 
-from collections.abc import Sequence
+import base64
+import html
+import math
+import operator
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -9,12 +13,16 @@ import anywidget
 import ipywidgets
 import traitlets
 
+from qdil.errors import ConfigError
 from qdil.explorer import shown as showing
 from qdil.explorer.pack import pack
-from qdil.explorer.page import STATIC
+from qdil.explorer.page import STATIC, description
+from qdil.explorer.picture import sketch
 from qdil.explorer.shown import Shown
 
 FIELDS = {"True return": "true_return", "Learned fitness": "fitness", "Learned fitness − true return": "difference"}
+MOST = 4  # robots side by side
+PICTURES = 200  # that the play button shows of a whole run, at most, as in the front end
 KEPT = 512  # packed rollouts that a widget remembers, a few kilobytes each
 
 
@@ -26,7 +34,7 @@ class View(anywidget.AnyWidget):
     show = traitlets.Dict().tag(sync=True)
     run = traitlets.Int(0).tag(sync=True)  # which run the heatmap shows
     against = traitlets.Int(-1).tag(sync=True)  # which run is subtracted; -1: none
-    field = traitlets.Unicode("true_return").tag(sync=True)
+    field = traitlets.Enum(list(FIELDS.values()), "true_return").tag(sync=True)
     iteration = traitlets.Int(-1).tag(sync=True)  # -1: the end of the run
     selected: traitlets.List = traitlets.List().tag(sync=True)  # [number of the run, number of the cell], up to four
 
@@ -41,17 +49,55 @@ class View(anywidget.AnyWidget):
         self._packed = packed
         self.on_msg(self._answer)
 
+    @traitlets.validate("run", "against")
+    def _is_a_run(self, proposal: Any) -> int:
+        lowest = -1 if proposal["trait"].name == "against" else 0
+        if not lowest <= proposal["value"] < len(self.show["runs"]):
+            allowed = f"{lowest} to {len(self.show['runs']) - 1}"
+            raise traitlets.TraitError(f"{proposal['trait'].name} is the number of a run, {allowed}.")
+        return proposal["value"]
+
+    @traitlets.validate("selected")
+    def _are_cells(self, proposal: Any) -> list[list[int]]:
+        """Pairs of whole numbers, each a run and one of its cells; the front end draws nothing else."""
+        return checked(self.show["runs"], proposal["value"])
+
     def _answer(self, _: Any, message: Any, buffers: Any) -> None:
         """Send the rollout that the front end wants, or why there is none."""
         if not isinstance(message, dict) or message.get("type") != "want":
             return
-        which = {"run": message["run"], "cell": message["cell"]}
+        which = {"run": message.get("run"), "cell": message.get("cell")}
         try:
             content = self._packed(int(message["run"]), int(message["cell"]))
-        except (ValueError, IndexError) as error:
+        except ConfigError as error:
             self.send({"type": "refused", "why": str(error), **which})
+        except Exception as error:  # whatever it is: the page waits for an answer, and a log is read by nobody
+            why = f"The rollout failed in the kernel ({type(error).__name__}: {error})"
+            self.send({"type": "refused", "why": why, **which})
         else:
             self.send({"type": "rollout", **which}, buffers=[content])
+
+
+def checked(runs: Sequence[Mapping[str, Any]], selected: Sequence[Any]) -> list[list[int]]:
+    """``selected`` as lists of two integers. Raises TraitError for what is not a cell of a run, and for more than four.
+
+    ``runs``: as ``shown.told`` gives them.
+    """
+    if len(selected) > MOST:
+        raise traitlets.TraitError(f"{MOST} robots at most walk side by side, not {len(selected)}.")
+    pairs = []
+    for one in selected:
+        try:
+            run, cell = (operator.index(number) for number in one)
+        except (TypeError, ValueError):
+            raise traitlets.TraitError(f"'{one}' is no pair of whole numbers: of a run, and of a cell.") from None
+        if not 0 <= run < len(runs):
+            raise traitlets.TraitError(f"there is no run {run}: they are numbered from 0 to {len(runs) - 1}.")
+        cells = math.prod(runs[run]["cells"])
+        if not 0 <= cell < cells:
+            raise traitlets.TraitError(f"'{runs[run]['name']}' has no cell {cell}: they go from 0 to {cells - 1}.")
+        pairs.append([run, cell])
+    return pairs
 
 
 class Explorer(ipywidgets.VBox):
@@ -76,13 +122,25 @@ class Explorer(ipywidgets.VBox):
     def _iteration_menu(self, last: int) -> Any:
         """A slider, with a play button, over the iterations at which the archive filled."""
         slider = ipywidgets.IntSlider(last, 0, last, description="Iteration")
-        player = ipywidgets.Play(value=last, min=0, max=last, interval=60, show_repeat=False)
+        step = max(1, round(last / PICTURES))
+        player = ipywidgets.Play(value=last, min=0, max=last, step=step, interval=60, show_repeat=False)
         ipywidgets.jslink((player, "value"), (slider, "value"))
         slider.observe(lambda change: self._show_iteration(change["new"], last), "value")
         return ipywidgets.HBox([player, slider])
 
     def _show_iteration(self, iteration: int, last: int) -> None:
         self.view.iteration = -1 if iteration == last else iteration
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
+        """The widget, and in its place, where a saved notebook is shown without a kernel, a small picture."""
+        bundle = super()._repr_mimebundle_(**kwargs)
+        drawn = base64.b64encode(sketch(self.runs, self._state())).decode()
+        alt = html.escape(description(self.runs))
+        bundle["text/html"] = f'<img src="data:image/png;base64,{drawn}" alt="{alt}" style="max-width:100%">'
+        return bundle
+
+    def _state(self) -> dict[str, Any]:
+        return {name: getattr(self.view, name) for name in ("run", "against", "field", "iteration", "selected")}
 
     @property
     def selected(self) -> list[tuple[str, int]]:
@@ -93,8 +151,7 @@ class Explorer(ipywidgets.VBox):
         """Write the explorer as a page of its own; see ``page.save``."""
         from qdil.explorer.page import RECORDINGS, save
 
-        state = {name: getattr(self.view, name) for name in ("run", "against", "field", "iteration", "selected")}
-        return save(self.runs, state, path, RECORDINGS if recordings is None else recordings)
+        return save(self.runs, self._state(), path, RECORDINGS if recordings is None else recordings)
 
 
 def _numbered(names: list[str]) -> list[tuple[str, int]]:

@@ -6,25 +6,52 @@ export const FIELDS = {
   difference: { name: "Learned fitness − true return", unit: "reward units per episode" },
 };
 
-/** Numbers by cell, NaN where it is empty; `row` gives a cell's row among the run's elites, −1 where it is empty. */
-export function byCell(run) {
-  const cells = run.cells[0] * run.cells[1];
-  const row = new Int32Array(cells).fill(-1);
-  run.index.forEach((cell, i) => (row[cell] = i));
-  return row;
+// What is computed once for an object that doesn't change: a pointer that moves over the map asks for it again and again.
+const remembered = new WeakMap();
+
+function once(owner, key, compute) {
+  if (!remembered.has(owner)) remembered.set(owner, new Map());
+  const known = remembered.get(owner);
+  if (!known.has(key)) known.set(key, compute());
+  return known.get(key);
+}
+
+/** A cell's row among a run's elites, −1 where it is empty. */
+export function rowOf(run, cell) {
+  const rows = once(run, "rows", () => {
+    const all = new Int32Array(run.cells[0] * run.cells[1]).fill(-1);
+    run.index.forEach((one, i) => (all[one] = i));
+    return all;
+  });
+  return rows[cell] ?? -1;
 }
 
 function valueOf(elites, field, i) {
   return field === "difference" ? elites.fitness[i] - elites.true_return[i] : elites[field][i];
 }
 
-/** Whether a run shows `iteration` rather than its end. */
-export const looksBack = (run, iteration) => iteration >= 0 && Boolean(run.history);
+export const comparable = (a, b) => a.cells[0] === b.cells[0] && a.cells[1] === b.cells[1];
+
+/** The run that is subtracted, null where none is or where its grid differs. */
+export function rival(runs, { run, against }) {
+  return against >= 0 && against !== run && comparable(runs[run], runs[against]) ? runs[against] : null;
+}
+
+/** The runs in the picture that kept no history. */
+export function forgetful(runs, state) {
+  const other = rival(runs, state);
+  return [runs[state.run], ...(other ? [other] : [])].filter((run) => !run.history);
+}
+
+/** The iteration that the picture shows; −1 is the end: asked for, or because a run in the picture kept no history. */
+export function iterationShown(runs, state) {
+  return forgetful(runs, state).length ? -1 : state.iteration;
+}
 
 /** A run's `field` by cell after `iteration`; −1, and for a run that kept no history any: at its end. */
 export function values(run, field, iteration) {
   const out = new Float64Array(run.cells[0] * run.cells[1]).fill(NaN);
-  if (looksBack(run, iteration)) {
+  if (iteration >= 0 && run.history) {
     const { iteration: when, index } = run.history;
     for (let i = 0; i < when.length && when[i] <= iteration; i++) out[index[i]] = valueOf(run.history, field, i);
   } else {
@@ -33,38 +60,57 @@ export function values(run, field, iteration) {
   return out;
 }
 
-/** One pair of bounds for all runs, so that a colour means the same in each. */
+/** One pair of bounds for all runs and iterations, so that a colour means the same in each. */
 export function bounds(runs, field) {
-  let low = Infinity, high = -Infinity;
-  for (const run of runs) {
-    const all = run.history ? run.history.index.map((_, i) => valueOf(run.history, field, i)) : [];
-    for (const value of [...values(run, field, -1), ...all]) {
-      if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
+  return once(runs, field, () => {
+    let low = Infinity, high = -Infinity;
+    for (const run of runs) {
+      const all = run.history ? run.history.index.map((_, i) => valueOf(run.history, field, i)) : [];
+      for (const value of [...values(run, field, -1), ...all]) {
+        if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
+      }
+    }
+    if (low > high) return [0, 1];
+    if (field === "difference") [low, high] = [-Math.max(-low, high, 0), Math.max(-low, high, 0)];
+    return high > low ? [low, high] : [low - 0.5, high + 0.5];
+  });
+}
+
+/** The largest difference between two runs in any cell, at the end and, where both kept it, on the way there. */
+function widest(a, b, field) {
+  const [mine, theirs] = [values(a, field, -1), values(b, field, -1)];
+  const larger = (most, gap) => (Math.abs(gap) > most ? Math.abs(gap) : most); // false for NaN
+  let most = mine.reduce((best, value, cell) => larger(best, value - theirs[cell]), 0);
+  if (a.history && b.history) {
+    const taken = [a, b].flatMap(({ history }, side) => history.index.map((cell, i) => ({
+      side, cell, when: history.iteration[i], value: valueOf(history, field, i),
+    })));
+    const now = [mine, theirs].map((all) => all.fill(NaN));
+    for (const { side, cell, value } of taken.sort((p, q) => p.when - q.when)) {
+      now[side][cell] = value;
+      most = larger(most, now[0][cell] - now[1][cell]);
     }
   }
-  if (low > high) return [0, 1];
-  if (field === "difference") [low, high] = [-Math.max(-low, high, 0), Math.max(-low, high, 0)];
-  return high > low ? [low, high] : [low - 0.5, high + 0.5];
+  return most || 1;
 }
 
 /** What the heatmap shows: {values, only (0 both or none, 1 first run alone, 2 second alone), low, high, diverges}. */
-export function picture(runs, { run, against, field, iteration }) {
+export function picture(runs, state) {
+  const { run, against, field } = state;
+  const [other, iteration] = [rival(runs, state), iterationShown(runs, state)];
   const mine = values(runs[run], field, iteration);
   const only = new Uint8Array(mine.length);
-  const [low, high] = bounds(runs, field);
-  if (against < 0 || against === run || !comparable(runs[run], runs[against])) {
+  if (!other) {
+    const [low, high] = bounds(runs, field);
     return { values: mine, only, low, high, diverges: field === "difference" };
   }
-  const theirs = values(runs[against], field, iteration);
-  const gap = mine.map((value, cell) => value - theirs[cell]);
+  const theirs = values(other, field, iteration);
   mine.forEach((value, cell) => {
     if (Number.isFinite(value) !== Number.isFinite(theirs[cell])) only[cell] = Number.isFinite(value) ? 1 : 2;
   });
-  const most = gap.reduce((best, value) => (Number.isFinite(value) ? Math.max(best, Math.abs(value)) : best), 0) || 1;
-  return { values: gap, only, low: -most, high: most, diverges: true };
+  const most = once(runs, `${field} ${run} ${against}`, () => widest(runs[run], other, field));
+  return { values: mine.map((value, cell) => value - theirs[cell]), only, low: -most, high: most, diverges: true };
 }
-
-export const comparable = (a, b) => a.cells[0] === b.cells[0] && a.cells[1] === b.cells[1];
 
 /** The last iteration that any run kept, or −1. */
 export function lastIteration(runs) {
@@ -74,5 +120,5 @@ export function lastIteration(runs) {
 export function number(value) {
   if (!Number.isFinite(value)) return "none";
   const size = Math.abs(value);
-  return size >= 1000 ? Math.round(value).toLocaleString("en") : value.toFixed(size >= 100 ? 1 : size >= 10 ? 1 : 2);
+  return size >= 1000 ? Math.round(value).toLocaleString("en") : value.toFixed(size >= 10 ? 1 : 2);
 }

@@ -129,6 +129,11 @@ function chosen(g, looks, place) {
     g.lineWidth = 1.8; g.strokeStyle = inner; g.strokeRect(x, y, w, h);
   };
   if (looks.hover >= 0) frame(looks.hover, "rgba(255,255,255,.7)", "rgba(0,0,0,.6)");
+  if (looks.cursor >= 0) {
+    g.setLineDash([4, 3]);
+    frame(looks.cursor, "#fff", "#000");
+    g.setLineDash([]);
+  }
   looks.selected.forEach(([cell, name]) => {
     frame(cell, "#fff", "#000");
     const [x, y, w] = place(cell);

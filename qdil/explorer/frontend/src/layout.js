@@ -1,6 +1,7 @@
 // The explorer's elements, by name; nothing here knows what they are for.
 
 import { FIELDS, lastIteration } from "./data.js";
+import { replay } from "./replay.js";
 
 function make(tag, properties = {}, ...children) {
   const node = document.createElement(tag);
@@ -19,7 +20,8 @@ export function build(el, show, withMenus) {
   const ui = {};
   ui.map = make("canvas", {
     className: "qdil-map", tabIndex: 0, role: "application",
-    "aria-label": "The archive. Arrow keys move from cell to cell, B goes to the best, with Shift a robot is added beside.",
+    "aria-label": "The archive. Arrow keys move from cell to cell, B goes to the best, with Shift a robot is added beside. "
+      + "S lets several robots walk side by side: arrow keys then only move, and Enter adds a cell or takes it away.",
   });
   ui.tip = make("div", { className: "qdil-tip", hidden: true });
   ui.title = make("div", { className: "qdil-title" });
@@ -33,17 +35,17 @@ export function build(el, show, withMenus) {
   ui.strip = make("canvas", { className: "qdil-strip", role: "img", "aria-label": "When each foot touches the ground, and the reward of every step" });
   ui.play = make("button", { type: "button", className: "qdil-play" });
   ui.scrubber = make("input", { type: "range", min: 0, max: 1, step: 0.001, value: 0, "aria-label": "Time in seconds" });
-  ui.now = make("output", { className: "qdil-now" });
+  ui.now = make("output", { className: "qdil-now", "aria-live": "off" });
   ui.speed = make("select", {}, ...[0.1, 0.25, 0.5, 1, 2].map((speed) => option(speed, `${speed} ×`)));
   ui.speed.value = "1";
-  ui.beside = make("button", { type: "button", textContent: "+ Side by side", "aria-pressed": false, title: "Let clicks add robots, up to four (or hold Shift)" });
+  ui.beside = make("button", { type: "button", textContent: "+ Side by side", "aria-pressed": false, title: "Let clicks and Enter add robots, up to four (S; or hold Shift)" });
   ui.alone = make("button", { type: "button", textContent: "One robot" });
   ui.status = make("div", { className: "qdil-status", role: "status", "aria-live": "polite" });
   const menus = build.menus(ui, show, withMenus);
   const controls = make("div", { className: "qdil-controls" }, ui.play, ui.scrubber, ui.now, labelled("Speed", ui.speed), ui.beside, ui.alone);
   const help = make("div", {
     className: "qdil-caption",
-    textContent: "Click a cell. Keys: arrows move, B best cell, Space plays, comma and full stop step. Drag the robot to look around, Shift + wheel zooms, double click resets.",
+    textContent: "Click a cell. Keys: arrows move, B best cell, Shift adds a robot, S side by side (arrows then only move, Enter adds), Space plays, comma and full stop step. Drag the robot to look around, Shift + wheel zooms, double click resets.",
   });
   ui.root = make("div", { className: "qdil-explorer", "data-lm-suppress-shortcuts": "true" }, menus,
     make("div", { className: "qdil-columns" },
@@ -63,7 +65,9 @@ build.menus = (ui, show, withMenus) => {
     against: make("select", {}, option(-1, "nothing"), ...runs.map((run, i) => option(i, run.name))),
     iteration: make("input", { type: "range", min: 0, max: lastIteration(runs), step: 1 }),
   };
-  const said = make("output");
+  const said = make("output", { "aria-live": "off" });
+  const player = make("button", { type: "button", className: "qdil-replay", textContent: "▶", "aria-label": "Replay how the archive filled", "aria-pressed": false });
+  ui.stopReplay = replay(player, menu.iteration);
   ui.onMenu = (then) => {
     for (const [name, control] of Object.entries(menu)) {
       control.addEventListener("input", () => {
@@ -80,13 +84,20 @@ build.menus = (ui, show, withMenus) => {
   const bar = make("div", { className: "qdil-menus" }, labelled("Colour", menu.field));
   if (runs.length > 1) bar.prepend(labelled("Run", menu.run));
   if (runs.length > 1) bar.append(labelled("Minus", menu.against));
-  if (lastIteration(runs) >= 0) bar.append(make("label", {}, make("span", { textContent: "After iteration" }), menu.iteration, said));
+  if (lastIteration(runs) >= 0) bar.append(player, make("label", {}, make("span", { textContent: "After iteration" }), menu.iteration, said));
   bar.hidden = !withMenus;
   return bar;
 };
 
+/** What drawings on canvases take from the page around them: {text, dark, faint}. */
+export function colours(root) {
+  const style = getComputedStyle(root);
+  const dark = isDark(style.backgroundColor);
+  return { text: style.color, dark, faint: dark ? "#ffffff22" : "#0000001a" };
+}
+
 /** Is a CSS colour a dark one? */
-export function isDark(colour) {
+function isDark(colour) {
   const [r, g, b, a = 1] = (colour.match(/[\d.]+/g) || [255, 255, 255]).map(Number);
   return a > 0 && 0.299 * r + 0.587 * g + 0.114 * b < 128;
 }

@@ -40,12 +40,12 @@ export function stage(canvas, robot) {
   const bodies = [0, 1, 2, 3].map(() => makeRobot(robot));
   scene.add(...bodies.map((body) => body.group));
   const height = robot.size;
+  let fitted = [];
 
   function draw(rollouts, time, view, dark) {
     const ratio = window.devicePixelRatio || 1;
     const [width, tall] = [canvas.clientWidth, canvas.clientHeight];
-    renderer.setPixelRatio(ratio);
-    renderer.setSize(width, tall, false);
+    fit(width, tall, ratio);
     const sky = new Color(dark ? "#1d2129" : "#eef2f6");
     scene.background = sky;
     scene.fog = new Fog(sky, 9 * height, 22 * height);
@@ -58,6 +58,14 @@ export function stage(canvas, robot) {
       look(middle, w * width, h * tall, view);
       renderer.render(scene, camera);
     });
+  }
+
+  // Setting a canvas's size clears it and makes new buffers, even if the size stays the same.
+  function fit(width, tall, ratio) {
+    if (fitted.join() === [width, tall, ratio].join()) return;
+    fitted = [width, tall, ratio];
+    renderer.setPixelRatio(ratio);
+    renderer.setSize(width, tall, false);
   }
 
   function look(middle, width, tall, { azimuth, elevation, distance }) {

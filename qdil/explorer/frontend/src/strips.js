@@ -1,10 +1,11 @@
 // Under the robots: when each foot is on the ground (a gait diagram) and what every step was paid, with the playhead.
 
 import { FEET } from "./colours.js";
+import { number } from "./data.js";
 import { duration } from "./decode.js";
 import { prepare } from "./canvas.js";
 
-const LEFT = 118, RIGHT = 12, ROW = 11, REWARD = 34, GAP = 12, AXIS = 18;
+const LEFT = 118, RIGHT = 46, ROW = 11, REWARD = 34, GAP = 12, AXIS = 18;
 
 export function strips(canvas) {
   let span = 1;
@@ -23,6 +24,7 @@ export function strips(canvas) {
     span = Math.max(0.1, ...tiles.map((tile) => (tile.rollout ? duration(tile.rollout) : 0)));
     const across = width - LEFT - RIGHT;
     const range = rewardRange(tiles);
+    const x = (t) => LEFT + (t / span) * across;
     tiles.forEach((tile, n) => {
       const top = n * block;
       g.fillStyle = looks.text;
@@ -32,13 +34,13 @@ export function strips(canvas) {
       g.fillText("reward per step", LEFT - 8, top + feet.length * (ROW + 2) + REWARD / 2 + 4);
       g.fillStyle = looks.faint;
       feet.forEach((_, k) => g.fillRect(LEFT, top + 4 + k * (ROW + 2), across, ROW));
-      if (tile.rollout) one(g, tile.rollout, feet, top + 4, (t) => LEFT + (t / span) * across, range, looks);
+      if (tile.rollout) one(g, tile.rollout, feet, top + 4, { x, right: LEFT + across, range }, looks);
     });
     axis(g, height - AXIS, across, span, looks);
-    const x = LEFT + (Math.min(time, span) / span) * across;
+    const now = x(Math.min(time, span));
     g.strokeStyle = looks.text;
     g.lineWidth = 1.5;
-    g.beginPath(); g.moveTo(x, 0); g.lineTo(x, height - AXIS + 4); g.stroke();
+    g.beginPath(); g.moveTo(now, 0); g.lineTo(now, height - AXIS + 4); g.stroke();
   }
 
   return { draw, timeAt };
@@ -52,7 +54,7 @@ function rewardRange(tiles) {
   return high > low ? [low, high] : [0, 1];
 }
 
-function one(g, rollout, feet, top, x, [low, high], looks) {
+function one(g, rollout, feet, top, { x, right, range: [low, high] }, looks) {
   feet.forEach((_, k) => {
     g.fillStyle = FEET[k % FEET.length];
     const y = top + k * (ROW + 2);
@@ -72,7 +74,11 @@ function one(g, rollout, feet, top, x, [low, high], looks) {
   g.beginPath();
   rollout.reward.forEach((value, t) => g.lineTo(x((t + 0.5) * rollout.seconds), y(value)));
   g.stroke();
-  g.textAlign = "left"; g.textBaseline = "top";
+  // The scale, the same for all robots: its highest and lowest reward.
+  g.fillStyle = looks.text;
+  g.font = "11px sans-serif";
+  g.textAlign = "left"; g.textBaseline = "middle";
+  for (const value of [high, low]) g.fillText(number(value), right + 5, y(value));
 }
 
 function axis(g, y, across, span, looks) {
