@@ -8,6 +8,7 @@ import fcntl
 import hashlib
 import io
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ import numpy as np
 
 from qdil import hosts
 from qdil.errors import ConfigError
-from qdil.files import replace_file
+from qdil.files import replace_file, sweep
 from qdil.ppga import Search
 from qdil.search import archive
 from qdil.search.history import History, none_yet
@@ -40,6 +41,7 @@ class Progress(NamedTuple):
     rows: tuple[dict[str, float], ...] = ()  # of metrics.csv
     history: History = none_yet()  # of history.npz
     rolled_back: float = 0.0  # phases of the warm-up; the first row of metrics.csv tells them with its own
+    begun: tuple[dict[str, str], ...] = ()  # commit and start of every process whose work is in it
 
 
 def save(run_folder: Path, search: Search, progress: Progress, demos_sha256: str | None) -> None:
@@ -69,7 +71,8 @@ def save(run_folder: Path, search: Search, progress: Progress, demos_sha256: str
     name = f"{progress.warmed:06d}-{progress.iteration:06d}-{hashlib.sha256(content).hexdigest()}.npz"
     replace_file(run_folder / FOLDER / name, lambda file: file.write(content))
     for old in _newest_first(run_folder)[KEPT:]:
-        old.unlink()
+        if old.name != name:  # newer names than this one are of checkpoints that could not be read
+            old.unlink()
 
 
 def load(run_folder: Path, search: Search, demos_sha256: str | None) -> tuple[Search, Progress] | None:
@@ -78,7 +81,10 @@ def load(run_folder: Path, search: Search, demos_sha256: str | None) -> tuple[Se
     Raises ConfigError if it was made with other demonstrations or by another version of this program.
     """
     for path in _newest_first(run_folder):
-        content = path.read_bytes() if path.is_file() else b""
+        try:
+            content = path.read_bytes()
+        except OSError:  # a disk or a network that fails just here; it may be whole again another time
+            continue
         if hashlib.sha256(content).hexdigest() != path.stem.rsplit("-", 1)[1]:
             path.unlink(missing_ok=True)  # damaged: it must not pass for the newest again
             continue
@@ -104,14 +110,18 @@ def _restore(
     xnes = search.xnes
     xnes.mean, xnes.shape, xnes.sigma = arrays["xnes/mean"], arrays["xnes/shape"], float(arrays["xnes/sigma"])
     xnes.rng.bit_generator.state, search.rng.bit_generator.state = told["xnes"], told["rng"]
-    rows = tuple(told["progress"].pop("rows"))
+    plain: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in told["progress"].items()}
     past = History(*(arrays[f"history/{name}"] for name in History._fields))
-    return search._replace(state=state), Progress(**told["progress"], rows=rows, history=past)
+    return search._replace(state=state), Progress(**plain, history=past)
 
 
-def exists(run_folder: Path) -> bool:
-    """Whether an unfinished run left something to go on from."""
-    return bool(_newest_first(run_folder))
+def reached(run_folder: Path) -> tuple[int, int] | None:
+    """Warm-up updates and iterations that an unfinished run did before its newest checkpoint; None without one."""
+    newest = next(iter(_newest_first(run_folder)), None)
+    if newest is None:
+        return None
+    warmed, iteration, _ = newest.name.split("-")
+    return int(warmed), int(iteration)
 
 
 def remove(run_folder: Path) -> None:
@@ -121,17 +131,34 @@ def remove(run_folder: Path) -> None:
 
 @contextmanager
 def locked(run_folder: Path) -> Iterator[None]:
-    """Hold the folder for this process. Raises ConfigError if another process holds it."""
+    """Hold the folder for this process, and clear what killed ones left half written.
+
+    Raises ConfigError if another process holds it.
+    """
     path = run_folder / FOLDER / "lock"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "a") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(
-                f"another process is training in {run_folder}; wait for it or choose another --out."
-            ) from None
-        yield
+    while True:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "a") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ConfigError(
+                    f"another process is training in {run_folder}; wait for it or choose another --out."
+                ) from None
+            if not _is_still(path, file.fileno()):  # who held it has just finished, and the lock is gone with the rest
+                continue
+            sweep(run_folder)
+            sweep(run_folder / FOLDER)
+            yield
+            return
+
+
+def _is_still(path: Path, descriptor: int) -> bool:
+    """Whether an open file is the one that bears this name now."""
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
 
 
 def _newest_first(run_folder: Path) -> list[Path]:

@@ -19,7 +19,9 @@ def _parser() -> argparse.ArgumentParser:
     train = commands.add_parser(
         "train",
         help="train one archive with one method",
-        description="Train one archive. Imitation methods need demonstrations: see 'qdil demos'.",
+        description="Train one archive. Imitation methods need demonstrations: see 'qdil demos'. An interrupted run "
+        "goes on from its last checkpoint when the same command is given again; one is written every 20 seconds, or "
+        "as many as the variable QDIL_SAVE_SECONDS says.",
         epilog=settings_help(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -80,7 +82,8 @@ def _parser() -> argparse.ArgumentParser:
     verify = commands.add_parser(
         "verify",
         help="check a finished run",
-        description="Hash a run's files again and evaluate a sample of its elites on new episodes.",
+        description="Hash a run's files again and evaluate a sample of its elites on new episodes. Exit code 1 if a "
+        "file is not what the run's manifest says.",
     )
     verify.add_argument("folder", type=Path, metavar="DIR", help="the run's folder")
 
@@ -141,7 +144,7 @@ def _train(args: argparse.Namespace) -> int:
 
         print(plan.report(config, plan.plan(config)))
         return 0
-    from qdil import checkpoint, hosts, run
+    from qdil import hosts, run
     from qdil.evidence import experiments, studies
     from qdil.progress import Progress
 
@@ -151,8 +154,6 @@ def _train(args: argparse.Namespace) -> int:
     if not hosts.is_first():
         run.train(config, folder, args.demos)
         return 0
-    if checkpoint.exists(folder):
-        print(f"Going on with the unfinished run in {folder}.")
     progress = Progress(config)
     try:
         trained = run.train(config, folder, args.demos, progress)
@@ -286,7 +287,8 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout = open(os.devnull, "w")
         return 1
     except OSError as error:  # a folder that cannot be written, a full disk
-        print(f"qdil: {error}", file=sys.stderr)
+        what = f"{error.filename}: {error.strerror}." if error.filename and error.strerror else error
+        print(f"qdil: {what}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("qdil: interrupted.", file=sys.stderr)

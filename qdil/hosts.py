@@ -5,6 +5,7 @@ the first), ``JAX_NUM_PROCESSES`` and ``JAX_PROCESS_ID``. The run folder must be
 """
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -44,6 +45,25 @@ def agreed(first_says: bool) -> bool:
     if jax.process_count() == 1:
         return first_says
     return bool(multihost_utils.broadcast_one_to_all(np.array(first_says)))
+
+
+def decided_by_first(decide: Callable[[], bool]) -> bool:
+    """What ``decide`` says on the first host, on every host; a ConfigError there is raised on all of them.
+
+    What lies in a folder that all hosts see may change while they look: one must look for all.
+    """
+    if jax.process_count() == 1:
+        return decide()
+    answer, refusal = 2, ConfigError("the first host cannot go on and says why.")
+    if is_first():
+        try:
+            answer = int(decide())
+        except ConfigError as error:
+            refusal = error
+    answer = int(multihost_utils.broadcast_one_to_all(np.array(answer)))
+    if answer == 2:
+        raise refusal
+    return bool(answer)
 
 
 def wait_for_all(what: str) -> None:

@@ -2,6 +2,7 @@
 
 import platform
 import subprocess
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -24,16 +25,24 @@ def begin() -> dict[str, str]:
     return {"commit": commit(), "start": _now()}
 
 
-def write(search: Search, folder: Path, begun: dict[str, str], seconds: float, demos_file: Path | None) -> None:
+def write(
+    search: Search, folder: Path, begun: Sequence[dict[str, str]], seconds: float, demos_file: Path | None
+) -> None:
     """Write ``folder``'s manifest, which makes it a whole run.
 
-    ``start`` and ``commit`` are those of the process that finished it; ``seconds`` counts all processes' work.
+    ``begun`` is one entry for each process whose work is in it: ``start`` is the first one's, ``commit`` the last
+    one's, ``resumed`` says when the others began, and ``commits``, if they differ, names all. ``seconds`` counts all
+    processes' work.
     """
+    commits = list(dict.fromkeys(process["commit"] for process in begun))
     devices = jax.devices()[: search.compiled.num_devices]
     write_json(
         folder / "manifest.json",
         {
-            **begun,
+            "commit": begun[-1]["commit"],
+            **({"commits": commits} if len(commits) > 1 else {}),
+            "start": begun[0]["start"],
+            "resumed": [process["start"] for process in begun[1:]],
             "packages": {name: version(name) for name in PACKAGES},
             "python": platform.python_version(),
             "device": f"{len(devices)} x {devices[0].device_kind}",

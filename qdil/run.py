@@ -1,9 +1,10 @@
 """A run as a folder: trains a configuration and writes config, metrics, history, archive, policies and manifest."""
 
-import json
+import math
+import os
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,11 @@ import numpy as np
 
 from qdil import checkpoint, hosts, manifest, ppga
 from qdil.checkpoint import Progress
+from qdil.compiled import compile_run
 from qdil.config import Config, ConfigError, from_json, make_config, same_but_for_speed, to_json
-from qdil.files import sha256, write_csv, write_json, write_npz
+from qdil.files import read_json, read_npz, sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
+from qdil.imitation.reward_model import Demonstrations
 from qdil.registry import bases, parse_method
 from qdil.search import archive, history
 from qdil.search.history import History
@@ -26,9 +29,12 @@ FIRST_COLUMNS = [
     "iteration", "env_steps", "wall_seconds", "qd_score", "coverage", "best", "average", "learned_qd_score", "restarts",
 ]  # fmt: skip
 SAVE_EVERY = 20.0  # seconds between checkpoints (and rewrites of metrics.csv) while a run goes on
+SAVE_VARIABLE = "QDIL_SAVE_SECONDS"  # an environment variable that says otherwise
 SAVE_SHARE = 0.03  # of a run's time, at most, goes into saving it
 
-Report = Callable[[ppga.Search, dict[str, float]], None]  # called after every iteration with its row of metrics
+# Called after every iteration with its row of metrics. One that also has ``begin(folder, reached)`` hears once that a
+# run is about to begin there, or to go on after these warm-up updates and iterations (``checkpoint.reached``).
+Report = Callable[[ppga.Search, dict[str, float]], None]
 
 
 def folder_of(config: Config, root: Path = RESULTS) -> Path:
@@ -52,39 +58,52 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
     Raises ConfigError before anything compiles: demonstrations missing or unusable, a run of another configuration in
     the folder, or another process at work in it.
     """
-    method = parse_method(config.method)
-    imitates = bases()[method.base].imitates
-    demos_file = (demos_file or demos_path(config.budget, config.env, config.demo_episodes)) if imitates else None
-    _check_settings(config, folder)
-    if is_finished(folder):
-        _check_demonstrations(folder, demos_file)
+    demos_file = _demos_file(config, demos_file)
+
+    def is_done() -> bool:
+        return _is_done(config, folder, demos_file)
+
+    if hosts.decided_by_first(is_done):  # without the lock, for which the folder would have to be written to
         return False
-    demos = None
-    try:
-        if demos_file:
-            demos = demonstrations.load(
-                demos_file,
-                config.env,
-                config.backend,
-                not method.obs_only,
-                config.expert_alignment,
-                config.seed,
-                config.demo_episodes,
-            )
-        search = ppga.begin(config, demos)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
-    first, begun = hosts.is_first(), manifest.begin()
-    with checkpoint.locked(folder) if first else nullcontext():
-        if first:
+    demos, save_every = _checked(config, demos_file), _save_every()
+    with ExitStack() as stack:
+
+        def lock_and_look_again() -> bool:
+            stack.enter_context(checkpoint.locked(folder))
+            return is_done()  # another process may have finished the run a moment ago
+
+        if hosts.decided_by_first(lock_and_look_again):
+            return False
+        if begin := getattr(report, "begin", None):
+            begin(folder, checkpoint.reached(folder))
+        begun, search = manifest.begin(), ppga.begin(config, demos)
+        if hosts.is_first():
             write_json(folder / "config.json", to_json(config))
-        search, past, seconds = _iterations(search, folder, sha256(demos_file) if demos_file else None, report)
+        saving = _Saving(folder, sha256(demos_file) if demos_file else None, save_every)
+        search, now = _iterations(search, saving, begun, report)
         again = ppga.reevaluate(search, jax.random.fold_in(jax.random.key(config.seed), 1))
-        if first:
+        if hosts.is_first():
             _write_archive(search, again, folder)
-            _write_history(past, config.iterations, folder)
-            manifest.write(search, folder, begun, seconds, demos_file)
+            _write_history(now.history, config.iterations, folder)
+            manifest.write(search, folder, now.begun, now.seconds, demos_file)
             checkpoint.remove(folder)
+    return True
+
+
+def _demos_file(config: Config, given: Path | None) -> Path | None:
+    """The demonstrations that ``config`` learns from; None for a method that does not imitate."""
+    if not bases()[parse_method(config.method).base].imitates:
+        return None
+    return given or demos_path(config.budget, config.env, config.demo_episodes)
+
+
+def _is_done(config: Config, folder: Path, demos_file: Path | None) -> bool:
+    """Whether ``folder`` holds this very run, finished. Raises ConfigError if it holds another, finished or not."""
+    _check_settings(config, folder)
+    if not is_finished(folder):
+        return False
+    _check_demonstrations(folder, demos_file)
+    checkpoint.remove(folder)  # there still, if the process was killed right after it had finished the run
     return True
 
 
@@ -92,7 +111,7 @@ def _check_settings(config: Config, folder: Path) -> None:
     """Raise ConfigError if ``folder`` holds a run, finished or not, with other settings."""
     if not (folder / "config.json").is_file():
         return
-    there, wanted = json.loads((folder / "config.json").read_text()), to_json(config)
+    there, wanted = read_json(folder / "config.json"), to_json(config)
     if not same_but_for_speed(there, wanted) if is_finished(folder) else there != wanted:
         what = "a finished run" if is_finished(folder) else "an unfinished run"
         raise ConfigError(
@@ -102,7 +121,7 @@ def _check_settings(config: Config, folder: Path) -> None:
 
 def _check_demonstrations(folder: Path, demos_file: Path | None) -> None:
     """Raise ConfigError if the finished run in ``folder`` learned from other demonstrations."""
-    trained_on = json.loads((folder / "manifest.json").read_text())["demonstrations_sha256"]
+    trained_on = read_json(folder / "manifest.json").get("demonstrations_sha256")
     if demos_file and demos_file.is_file() and trained_on != sha256(demos_file):
         raise ConfigError(
             f"{folder} holds a finished run on other demonstrations than {demos_file}; choose another --out, or remove "
@@ -110,59 +129,102 @@ def _check_demonstrations(folder: Path, demos_file: Path | None) -> None:
         )
 
 
-def _iterations(
-    search: ppga.Search, folder: Path, demos_sha256: str | None, report: Report | None
-) -> tuple[ppga.Search, History, float]:
-    """What is left of the warm-up and of the QD iterations, with ``metrics.csv`` and a checkpoint kept up to date.
+def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
+    """The demonstrations, if any. Raises ConfigError for all that would otherwise be refused after the lock is taken.
 
-    Returns the archive's history and the seconds that all of the run took, interruptions not counted, too.
+    That is, demonstrations that cannot be used, and devices that are not there or do not divide the robots.
     """
+    try:
+        compiled = compile_run(config)  # which compiles nothing yet
+        if demos_file is None:
+            return None
+        demos = demonstrations.load(
+            demos_file,
+            config.env,
+            config.backend,
+            not parse_method(config.method).obs_only,
+            config.expert_alignment,
+            config.seed,
+            config.demo_episodes,
+        )
+        demonstrations.check_fits(demos, compiled.parts.env)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    return demos
+
+
+def _save_every() -> float:
+    """Seconds between checkpoints. Raises ConfigError where the variable that sets them holds no such number."""
+    text = os.environ.get(SAVE_VARIABLE, "")
+    try:
+        seconds = float(text) if text else SAVE_EVERY
+    except ValueError:
+        seconds = math.nan
+    if not seconds >= 0:
+        raise ConfigError(f"{SAVE_VARIABLE}={text} must be a number of seconds, at least 0.")
+    return seconds
+
+
+def _iterations(
+    search: ppga.Search, saving: "_Saving", begun: dict[str, str], report: Report | None
+) -> tuple[ppga.Search, Progress]:
+    """What is left of the warm-up and of the QD iterations, with ``metrics.csv`` and a checkpoint kept up to date."""
     config = search.config
-    search, now = checkpoint.load(folder, search, demos_sha256) or (search, Progress())
+    search, now = checkpoint.load(saving.folder, search, saving.demos_sha256) or (search, Progress())
+    now = now._replace(begun=(*now.begun, begun))
     hosts.wait_for_all("loaded")  # before the first writes a newer checkpoint
-    began, saving = time.monotonic() - now.seconds, _Saving(folder, demos_sha256)
-    cells = int(search.archives.result.cells)
+    began = time.monotonic() - now.seconds  # as if there had been no interruption
     while now.iteration < config.iterations:
         if now.warmed < config.warmup_updates:
-            search, warmed, info = ppga.warm_up(search, config.warmup_updates - now.warmed)
-            now = now._replace(
-                warmed=now.warmed + warmed,
-                env_steps=now.env_steps + info["steps"],
-                rolled_back=now.rolled_back + info["rolled_back"],
-            )
+            search, now = _warm_up(search, now)
         else:
-            search, info = ppga.iteration(search)
-            info["rolled_back"] += now.rolled_back
-            now = now._replace(
-                iteration=now.iteration + 1,
-                env_steps=now.env_steps + info.pop("steps"),
-                restarts=now.restarts + info.pop("restarts"),
-                rolled_back=0.0,
-            )
-            elites = archive.returns(search.archives)
-            row = {
-                "iteration": now.iteration,
-                "env_steps": int(now.env_steps),
-                "wall_seconds": round(time.monotonic() - began, 3),
-                **archive.metrics(elites, cells),
-                "restarts": int(now.restarts),
-                **info,
-            }
-            past = history.grown(now.history, now.iteration, elites, cells)
-            now = now._replace(rows=(*now.rows, row), history=past)
+            search, now = _iteration(search, now, began)
             if report is not None:
-                report(search, row)
+                report(search, now.rows[-1])
         now = now._replace(seconds=time.monotonic() - began)
         saving(search, now, last=now.iteration == config.iterations)
-    return search, now.history, now.seconds
+    return search, now
+
+
+def _warm_up(search: ppga.Search, now: Progress) -> tuple[ppga.Search, Progress]:
+    """A round of the warm-up, which has no row of its own in ``metrics.csv``."""
+    search, done, info = ppga.warm_up(search, search.config.warmup_updates - now.warmed)
+    return search, now._replace(
+        warmed=now.warmed + done,
+        env_steps=now.env_steps + info["steps"],
+        rolled_back=now.rolled_back + info["rolled_back"],
+    )
+
+
+def _iteration(search: ppga.Search, now: Progress, began: float) -> tuple[ppga.Search, Progress]:
+    """A QD iteration, its row of ``metrics.csv`` and its part of the history; the run ``began`` on this clock."""
+    search, info = ppga.iteration(search)
+    info["rolled_back"] += now.rolled_back
+    now = now._replace(
+        iteration=now.iteration + 1,
+        env_steps=now.env_steps + info.pop("steps"),
+        restarts=now.restarts + info.pop("restarts"),
+        rolled_back=0.0,
+    )
+    elites, cells = archive.returns(search.archives), int(search.archives.result.cells)
+    row = {
+        "iteration": now.iteration,
+        "env_steps": int(now.env_steps),
+        "wall_seconds": round(time.monotonic() - began, 3),
+        **archive.metrics(elites, cells),
+        "restarts": int(now.restarts),
+        **info,
+    }
+    past = history.grown(now.history, now.iteration, elites, cells)
+    return search, now._replace(rows=(*now.rows, row), history=past)
 
 
 class _Saving:
     """Writes metrics and checkpoints every few seconds, and so seldom that it takes a small share of the time."""
 
-    def __init__(self, folder: Path, demos_sha256: str | None) -> None:
-        self.folder, self.demos_sha256 = folder, demos_sha256
-        self.next = time.monotonic() + SAVE_EVERY
+    def __init__(self, folder: Path, demos_sha256: str | None, every: float) -> None:
+        self.folder, self.demos_sha256, self.every = folder, demos_sha256, every
+        self.next = time.monotonic() + every
 
     def __call__(self, search: ppga.Search, now: Progress, last: bool) -> None:
         start = time.monotonic()
@@ -172,7 +234,7 @@ class _Saving:
             write_csv(self.folder / "metrics.csv", list(dict.fromkeys(FIRST_COLUMNS + list(now.rows[-1]))), now.rows)
         checkpoint.save(self.folder, search, now, self.demos_sha256)
         took = time.monotonic() - start
-        self.next = start + max(SAVE_EVERY, took / SAVE_SHARE)
+        self.next = start + max(self.every, took / SAVE_SHARE)
 
 
 def _write_archive(search: ppga.Search, again: dict[str, np.ndarray], folder: Path) -> None:
@@ -189,10 +251,10 @@ def _write_history(past: History, iterations: int, folder: Path) -> None:
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """The settings of the run in ``folder``. Raises ConfigError if there is no finished run."""
+    """The settings of the run in ``folder``. Raises ConfigError if there is no finished run, or none to read."""
     if not is_finished(folder):
         raise ConfigError(f"there is no finished run in {folder}.")
-    return json.loads((folder / "config.json").read_text())
+    return read_json(folder / "config.json")
 
 
 def read_archive(folder: Path, policies: bool = False) -> dict[str, np.ndarray]:
@@ -203,8 +265,7 @@ def read_archive(folder: Path, policies: bool = False) -> dict[str, np.ndarray]:
     for name in names:
         if not (folder / name).is_file():
             raise ConfigError(f"{folder} has no {name}: remove the folder and train it on this machine to get it.")
-        with np.load(folder / name, allow_pickle=False) as file:
-            content.update({key: file[key] for key in file.files})
+        content |= read_npz(folder / name)
     return content
 
 

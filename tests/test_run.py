@@ -2,16 +2,18 @@
 
 import json
 import shutil
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from qdil import run
+from qdil import ppga, run
 from qdil.cli import main
-from qdil.config import Config, from_json, make_config
-from qdil.files import sha256
+from qdil.config import Config, ConfigError, from_json, make_config
+from qdil.files import sha256, write_json
 from qdil.imitation import demos as demonstrations
 from qdil.search import history
 from qdil.tools import plan, verify
@@ -196,9 +198,100 @@ def test_a_dry_run_plans_and_trains_nothing(tmp_path, capsys):
     assert '"iterations": 7' in said and "estimate:" in said
     config = make_config("walker2d", "mconbo-gail", "smoke", iterations=7)
     planned = plan.plan(config)
-    assert planned.training_steps == 7 * 2 * 16 * 24 and planned.evaluation_steps == 7 * 8 * 2 * 50
+    assert planned.reward_rounds == 7 + 2 and planned.speed.reward_seconds > 0
     assert 0 < planned.seconds < 600
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("method", ["true", "mconbo-gail"])
+def test_the_steps_that_are_planned_are_those_that_a_run_makes(made, tmp_path, method, monkeypatch):
+    """Counted by what the run itself keeps: the steps its normaliser has seen, and the lengths of its episodes."""
+    config = make_config("walker2d", method, "smoke", iterations=3, demo_episodes=2)
+    seen, evaluated, evaluate = [], [], ppga.evaluate
+
+    def counted(search, policies, key):
+        candidates = evaluate(search, policies, key)
+        evaluated.append(candidates.length.sum() * config.episodes)
+        return candidates
+
+    monkeypatch.setattr(ppga, "evaluate", counted)
+    run.train(config, tmp_path, made / "demos.npz", lambda search, row: seen.append(float(search.state.stats.seen)))
+    steps = plan.count(config, learns=method != "true", k=2)
+    assert steps.warm_up + steps.training == seen[-1]
+    told = pd.read_csv(tmp_path / "metrics.csv")["env_steps"].iloc[-1]
+    assert told == steps.warm_up + steps.training + sum(evaluated[:3])
+    assert 0 < sum(evaluated[:3]) <= steps.evaluation == 3 * 8 * 2 * 50
+    assert 0 < sum(evaluated[3:]) <= steps.rescoring and len(evaluated[3:]) <= 4  # 25 cells, 8 at a time
+
+
+def test_an_estimate_counts_what_a_reward_learns_before_the_run(monkeypatch):
+    """GIRIL's training from demonstrations, no environment step of which is in ``metrics.csv``."""
+    config = make_config("walker2d", "mconbo-gail", "smoke", demo_episodes=2)
+    shown, compile_run = [], plan.compile_run
+
+    def slow_to_begin(config):
+        compiled = compile_run(config)
+
+        def init(key, demos):
+            shown.append(demos)
+            time.sleep(3.0)
+            return compiled.init(key, demos)
+
+        return compiled._replace(init=init)
+
+    monkeypatch.setattr(plan, "compile_run", slow_to_begin)
+    assert plan.plan(config).speed.start_seconds > 3.0
+    assert [len(demos.obs) for demos in shown] == [2 * 50]
+
+
+def changed(original: Path, copy: Path, **settings: object) -> Path:
+    """A copy of a run with other ``settings``, which its manifest knows."""
+    shutil.copytree(original, copy)
+    write_json(copy / "config.json", json.loads((copy / "config.json").read_text()) | settings)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["sha256"]["config.json"] = sha256(copy / "config.json")
+    write_json(copy / "manifest.json", manifest)
+    return copy
+
+
+def test_what_more_devices_made_is_verified_on_those_that_are_here(made, tmp_path):
+    found = verify.verify(changed(made / "true", tmp_path / "run", devices=64))
+    assert found.sound() and found.sampled > 0 and not found.obstacle
+
+
+def test_a_run_of_another_version_is_hashed_and_no_more(made, tmp_path, capsys):
+    assert qdil("verify", changed(made / "true", tmp_path / "run", wings=2)) == 0
+    said = capsys.readouterr().out
+    assert "All files are as the manifest says" in said and "settings are of another version: wings" in said
+
+
+def test_devices_that_are_not_there_are_refused_before_a_dry_run(capsys, tmp_path):
+    arguments = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", "--devices", 64]
+    for more in (["--dry-run"], ["--out", tmp_path / "run"]):
+        assert qdil(*arguments, *more) == 2
+        said = capsys.readouterr()
+        assert said.out == "" and said.err.startswith("qdil: devices=64 was asked for") and said.err.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_damaged_file_of_a_run_is_named(made, tmp_path, capsys):
+    copy = tmp_path / "run"
+    shutil.copytree(made / "gail", copy)
+    arguments = ["train", "--env", "walker2d", "--method", "gail", "--budget", "smoke", "--out", copy]
+    arguments += ["--demos", made / "demos.npz", "--set", "demo_episodes=2"]
+    (copy / "manifest.json").write_text('{"commit": "a')
+    assert (qdil(*arguments), qdil("verify", copy)) == (2, 2)
+    said = capsys.readouterr().err
+    assert said.count("manifest.json is damaged") == said.count("\n") == 2
+    shutil.copy(made / "gail" / "manifest.json", copy)
+    (copy / "config.json").write_bytes(b"\xff{")
+    assert (qdil(*arguments), qdil("verify", copy)) == (2, 1)
+    said = capsys.readouterr()
+    assert "config.json is damaged" in said.err and "config.json: not what the manifest says" in said.out
+    shutil.copy(made / "gail" / "config.json", copy)
+    (copy / "archive.npz").write_bytes(b"PK\x03\x04 and no more")
+    with pytest.raises(ConfigError, match="archive.npz is damaged"):
+        run.read_archive(copy)
 
 
 @pytest.mark.slow

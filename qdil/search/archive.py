@@ -66,8 +66,10 @@ def add(archives: Archives, candidates: Candidates) -> np.ndarray:
 
 
 def usable(candidates: Candidates) -> np.ndarray:
-    """Which candidates (λ,) may enter: the physics stayed finite, and so are both scores."""
-    return candidates.finite & np.isfinite(candidates.fitness) & np.isfinite(candidates.true_return)
+    """Which candidates (λ,) may enter: the physics stayed finite, and so is all that an elite would keep."""
+    told = [values for name, values in candidates._asdict().items() if name != "finite"]
+    sound = [np.isfinite(values).reshape(len(values), -1).all(axis=1) for values in told]
+    return candidates.finite & np.all(sound, axis=0)
 
 
 def occupied(archives: Archives) -> np.ndarray:

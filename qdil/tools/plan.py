@@ -2,7 +2,6 @@
 
 import json
 import time
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -10,64 +9,130 @@ import jax.numpy as jnp
 
 from qdil.compiled import Compiled, compile_run
 from qdil.config import Config, to_json
+from qdil.imitation.reward_model import Demonstrations
+from qdil.phases import Parts, State, Trained
+from qdil.registry import bases, parse_method
 
 CALIBRATION_UPDATES = 3
 
 
-class Plan(NamedTuple):
-    """Environment steps of a run's parts, and seconds per part from a short calibration."""
+class Steps(NamedTuple):
+    """Environment steps of a run's parts; those of episodes as if each lasted to its time limit."""
 
-    warm_up_steps: int
-    training_steps: int  # both VPPO phases of all iterations
-    evaluation_steps: int  # if every episode lasts to its time limit
-    compile_seconds: float
-    training_steps_per_second: float
-    evaluation_steps_per_second: float
+    warm_up: int
+    training: int  # both VPPO phases of all iterations, and the windows that a reward model learns from
+    evaluation: int
+    rescoring: int  # of all elites at the end, as if every cell were filled
+
+
+class Speed(NamedTuple):
+    """What a short calibration on this machine says."""
+
+    start_seconds: float  # to compile, and for the reward model to learn what it learns before the run
+    training: float  # environment steps per second
+    evaluation: float
+    reward_seconds: float  # of a round of the reward model's learning; 0 where it does not learn
+
+
+class Plan(NamedTuple):
+    """A run's size and its estimated time."""
+
+    steps: Steps
+    speed: Speed
+    reward_rounds: int
 
     @property
     def seconds(self) -> float:
         """An estimate of the whole run, from above where episodes end early."""
-        trained = self.warm_up_steps + self.training_steps
+        steps, speed = self.steps, self.speed
         return (
-            self.compile_seconds
-            + trained / self.training_steps_per_second
-            + self.evaluation_steps / self.evaluation_steps_per_second
+            speed.start_seconds
+            + (steps.warm_up + steps.training) / speed.training
+            + (steps.evaluation + steps.rescoring) / speed.evaluation
+            + self.reward_rounds * speed.reward_seconds
         )
 
 
 def plan(config: Config) -> Plan:
-    """Count the steps of ``config`` and time a few VPPO updates and one chunk of evaluation, on the true reward.
+    """Count the steps of ``config`` and time a few VPPO updates, a round of the reward's learning, a chunk of episodes.
 
-    A learned reward adds its own inference and learning, usually a few percent.
+    A method that imitates is timed on made-up demonstrations. Not timed: what its reward costs in evaluated episodes.
     """
-    began = time.monotonic()
-    compiled = compile_run(replace(config, method="true"))
-    window = config.window * config.num_envs
-    _train(config, compiled, 1), _evaluate(config, compiled)
-    compiled_after = time.monotonic() - began
-    return Plan(
+    compiled = compile_run(config)
+    learns = bool(compiled.model.learns)
+    rounds = config.iterations + _batches(config.warmup_updates, config.walk_updates) if learns else 0
+    return Plan(count(config, learns, compiled.parts.streams - 1), _calibrated(config, compiled), rounds)
+
+
+def count(config: Config, learns: bool, k: int) -> Steps:
+    """Environment steps of a run whose reward model ``learns`` or not, with ``k`` measures."""
+    window, episodes = config.window * config.num_envs, config.candidates * config.episodes * config.episode_length
+    updates = config.gradient_updates + config.walk_updates + int(learns)
+    return Steps(
         config.warmup_updates * window,
-        config.iterations * (config.gradient_updates + config.walk_updates) * window,
-        config.iterations * config.candidates * config.episodes * config.episode_length,
-        compiled_after,
-        CALIBRATION_UPDATES * window / _train(config, compiled, CALIBRATION_UPDATES),
-        config.candidates * config.episodes * config.eval_chunk / _evaluate(config, compiled),
+        config.iterations * updates * window,
+        config.iterations * episodes,
+        _batches(config.cells**k, config.candidates) * episodes,
     )
 
 
-def _train(config: Config, compiled: Compiled, updates: int) -> float:
-    """Seconds of so many VPPO updates, whole epochs included."""
-    state = compiled.init(jax.random.key(0), None)
-    occupied = jnp.zeros((config.cells,) * (compiled.parts.streams - 1), bool)
+def _batches(count: int, size: int) -> int:
+    return -(-count // size)
+
+
+def _calibrated(config: Config, compiled: Compiled) -> Speed:
+    """Everything once, to compile it, and then again by the clock."""
+    began = time.monotonic()
+    imitates = bases()[parse_method(config.method).base].imitates
+    demos = _made_up(config, compiled.parts) if imitates else None
+    state = compiled.init(jax.random.key(0), demos)
+    trained, _ = _train(config, compiled, state, 1)
+    _evaluate(config, compiled, state), _learn(config, compiled, trained, demos)
+    start_seconds = time.monotonic() - began
+    trained, seconds = _train(config, compiled, trained.state, CALIBRATION_UPDATES)
+    return Speed(
+        start_seconds,
+        CALIBRATION_UPDATES * config.window * config.num_envs / seconds,
+        config.candidates * config.episodes * config.eval_chunk / _evaluate(config, compiled, state),
+        _learn(config, compiled, trained, demos),
+    )
+
+
+def _made_up(config: Config, parts: Parts) -> Demonstrations:
+    """As many rows as demonstrations can have, of noise: fit to be timed."""
+    env = parts.env
+    widths, rows = (env.obs_size, env.action_size, env.obs_size, parts.streams - 1), config.episode_length
+    keys = jax.random.split(jax.random.key(0), len(widths))
+    shapes = [(config.demo_episodes * rows, width) for width in widths]
+    return Demonstrations(*(jax.random.normal(key, shape) for key, shape in zip(keys, shapes, strict=True)))
+
+
+def _occupied(config: Config, compiled: Compiled) -> jax.Array:
+    return jnp.zeros((config.cells,) * (compiled.parts.streams - 1), bool)
+
+
+def _train(config: Config, compiled: Compiled, state: State, updates: int) -> tuple[Trained, float]:
+    """So many VPPO updates, whole epochs included, and their seconds."""
     began = time.monotonic()
     weights = jnp.eye(compiled.parts.streams)
-    jax.block_until_ready(compiled.train(state, occupied, weights, False, updates, config.epochs).theta)
+    trained = compiled.train(state, _occupied(config, compiled), weights, False, updates, config.epochs)
+    jax.block_until_ready(trained.theta)
+    return trained, time.monotonic() - began
+
+
+def _learn(config: Config, compiled: Compiled, trained: Trained, demos: Demonstrations | None) -> float:
+    """Seconds of a round of the reward model's learning."""
+    if not compiled.model.learns:
+        return 0.0
+    began = time.monotonic()
+    occupied = _occupied(config, compiled)
+    state, _ = compiled.update_reward(trained.state, occupied, demos, trained.transitions)
+    jax.block_until_ready(jax.tree.leaves(state.reward))
     return time.monotonic() - began
 
 
-def _evaluate(config: Config, compiled: Compiled) -> float:
+def _evaluate(config: Config, compiled: Compiled, state: State) -> float:
     """Seconds of one chunk of candidates' steps."""
-    state = compiled.init(jax.random.key(0), None)
     coefficients = jnp.zeros((config.candidates, compiled.parts.streams))
     policies, _ = compiled.branch(state, jnp.zeros((compiled.parts.streams, 1)), coefficients)
     keys = compiled.place(jax.random.split(jax.random.key(0), (config.candidates, config.episodes)))
@@ -79,14 +144,16 @@ def _evaluate(config: Config, compiled: Compiled) -> float:
 
 def report(config: Config, planned: Plan) -> str:
     """The resolved configuration, the steps and the estimate, for people."""
-    million = 1e6
+    steps, speed, rounds = planned.steps, planned.speed, planned.reward_rounds
     lines = [
         json.dumps(to_json(config), indent=2),
-        f"warm-up:     {planned.warm_up_steps / million:8.2f} million environment steps",
-        f"training:    {planned.training_steps / million:8.2f} million",
-        f"candidates:  {planned.evaluation_steps / million:8.2f} million, if no episode ends early",
-        f"here: {planned.training_steps_per_second:,.0f} steps/s in training, "
-        f"{planned.evaluation_steps_per_second:,.0f} in evaluation, {planned.compile_seconds:.0f} s to compile",
-        f"estimate:    {planned.seconds / 60:8.1f} minutes",
+        f"warm-up:     {steps.warm_up:15,} environment steps",
+        f"training:    {steps.training:15,}",
+        f"candidates:  {steps.evaluation:15,}, if no episode ends early",
+        f"rescoring:   {steps.rescoring:15,}, if no episode ends early and every cell is filled",
+        f"here: {speed.training:,.0f} steps/s in training, {speed.evaluation:,.0f} in evaluation, "
+        f"{speed.start_seconds:.0f} s to compile and begin",
     ]
-    return "\n".join(lines)
+    if rounds:
+        lines.append(f"{rounds} rounds of the reward model's learning, {speed.reward_seconds:.2f} s each")
+    return "\n".join([*lines, f"estimate:    {planned.seconds / 60:15,.1f} minutes"])

@@ -1,6 +1,5 @@
 """Is a run what its folder says: hashes again, and a sample of its elites on new episodes."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,8 +10,8 @@ import numpy as np
 
 from qdil import run
 from qdil.compiled import compile_run
-from qdil.config import from_json
-from qdil.files import sha256
+from qdil.config import ConfigError, from_json
+from qdil.files import read_json, sha256
 from qdil.search.evaluate import Policies
 
 
@@ -24,6 +23,7 @@ class Verified(NamedTuple):
     sampled: int  # elites evaluated again; 0 without policies
     returns: np.ndarray  # (sampled, 2) true return as archived, and on new episodes
     moved: np.ndarray  # (sampled,) distance between archived and new measures
+    obstacle: str = ""  # why no elite was evaluated again, if nothing is changed or missing
 
     def sound(self) -> bool:
         """Whether all files are there as the manifest says; policies are not kept in git and may be absent."""
@@ -31,18 +31,25 @@ class Verified(NamedTuple):
 
 
 def verify(folder: Path, seed: int = 0) -> Verified:
-    """Check a finished run in ``folder``. Raises ConfigError if there is none."""
-    config = from_json(run.read_config(folder))
-    expected = json.loads((folder / "manifest.json").read_text())["sha256"]
+    """Check a finished run in ``folder``. Raises ConfigError if there is none, or its manifest is damaged.
+
+    Hashes come first: they need nothing but the manifest, so that a damaged file, or a run of another version of this
+    program, is told from a sound one whatever else can be read of it.
+    """
+    expected = _expected(folder)
     missing = [name for name in expected if not (folder / name).is_file()]
     changed = [n for n, digest in expected.items() if n not in missing and sha256(folder / n) != digest]
     nothing = Verified(changed, missing, 0, np.zeros((0, 2)), np.zeros(0))
     if missing or changed:
         return nothing
-    elites = run.read_archive(folder, policies=True)
+    try:
+        config = from_json(read_json(folder / "config.json"))
+        elites = run.read_archive(folder, policies=True)
+    except ConfigError as error:
+        return nothing._replace(obstacle=str(error))
     count = min(config.candidates, len(elites["index"]))
     if count == 0:
-        return nothing
+        return nothing._replace(obstacle="The archive is empty.")
     rows = np.random.default_rng(seed).choice(len(elites["index"]), count, replace=False)
     true_return, measures = _evaluate(config, {name: values for name, values in elites.items()}, rows, seed)
     return Verified(
@@ -54,9 +61,19 @@ def verify(folder: Path, seed: int = 0) -> Verified:
     )
 
 
+def _expected(folder: Path) -> dict[str, str]:
+    """The hashes by file name that a run's manifest holds."""
+    if not run.is_finished(folder):
+        raise ConfigError(f"there is no finished run in {folder}.")
+    expected = read_json(folder / "manifest.json").get("sha256")
+    if not isinstance(expected, dict):
+        raise ConfigError(f"{folder / 'manifest.json'} is damaged: it holds no hashes.")
+    return expected
+
+
 def _evaluate(config: Any, elites: dict[str, np.ndarray], rows: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """True return (λ,) and measures (λ, k) of elites ``rows``, the last one repeated to fill a batch."""
-    compiled = compile_run(replace(config, method="true"))
+    compiled = compile_run(replace(config, method="true", devices=0))  # it may have been made on more than are here
     rows = np.concatenate([rows, np.full(config.candidates - len(rows), rows[-1])])
     fields: Any = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
     key, init_key = jax.random.split(jax.random.key(seed))
@@ -81,6 +98,8 @@ def report(found: Verified) -> str:
             f"  average return {before.mean():.1f} as archived, {after.mean():.1f} now (median change {change:.1f});",
             f"  measures moved by {np.median(found.moved):.3f} (median), {found.moved.max():.3f} (largest).",
         ]
-    elif found.sound():
+    elif found.missing and found.sound():
         lines.append("No policies here to evaluate again: train the run on this machine to get them.")
+    if found.obstacle:
+        lines.append(f"No elite was evaluated again: {found.obstacle}")
     return "\n".join(lines)
