@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 SWEEP ?=
 SITE ?=
 
-.PHONY: reproduce test test-slow lint sweep site contents lock clean
+.PHONY: reproduce test test-slow lint sweep site contents frontend lock clean
 
 reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke, laptop or full)
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
@@ -38,6 +38,9 @@ site: $(VENV)/.installed  ## the executed notebooks as web pages in build/site (
 
 contents: $(VENV)/.installed  ## write the tables that are made into the README and docs/performance.md
 	$(RUN) -m qdil.series.readme
+
+frontend:  ## bundle the explorer's script and three.js into qdil/explorer/static (needs Node.js 20 or later, and npm)
+	cd qdil/explorer/frontend && npm ci --no-audit --no-fund && npm run build
 
 lock:  ## resolve the pinned, hashed environment anew (needs uv)
 	uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \

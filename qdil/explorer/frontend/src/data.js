@@ -86,10 +86,14 @@ function widest(a, b, field) {
       side, cell, when: history.iteration[i], value: valueOf(history, field, i),
     })));
     const now = [mine, theirs].map((all) => all.fill(NaN));
-    for (const { side, cell, value } of taken.sort((p, q) => p.when - q.when)) {
+    let changed = []; // cells, in the iteration that is gone through
+    taken.sort((p, q) => p.when - q.when).forEach(({ side, cell, value, when }, i) => {
       now[side][cell] = value;
-      most = larger(most, now[0][cell] - now[1][cell]);
-    }
+      changed.push(cell);
+      if (taken[i + 1]?.when === when) return;
+      most = changed.reduce((best, one) => larger(best, now[0][one] - now[1][one]), most);
+      changed = [];
+    });
   }
   return most || 1;
 }
