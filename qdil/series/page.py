@@ -65,8 +65,8 @@ def robots(names: Sequence[str], budget: str) -> Iterator[tuple[str, dict[str, l
     for env in ROBOTS:
         there = experiments.finished(names, env, budget)
         missing = ", ".join(f"`{name}`" for name in names if name not in there)
-        said = f": not trained yet, so not shown: {missing}" if there and missing else ""
-        display(Markdown(f"**{env}**{said}." if there else f"**{env}**: no finished runs at this budget."))
+        said = f": not trained yet, so not shown: {missing}." if there and missing else ""
+        display(Markdown(f"**{env}**{said}" if there else f"**{env}**: no finished runs at this budget."))
         if there:
             yield env, there
 
