@@ -239,6 +239,15 @@ def test_where_lengths_are_equal_objective_and_probability_never_disagree_and_el
     np.testing.assert_allclose(equal.objective_change, weight * equal.change, atol=1e-6)
 
 
+def test_fuller_archives_are_harder_to_find_empty_cells_of():
+    half, full = (trials.problems(1, 100, 0.0, filled) for filled in (0.5, 0.9))
+    np.testing.assert_array_equal(trials.problems(1, 100, 0.0).occupied, half.occupied)
+    for drawn_, share in ((half, 0.5), (full, 0.9)):
+        assert np.mean(drawn_.occupied) == pytest.approx(share, abs=0.05)
+    few = trials.by_ppo(1, 100, Settings(episodes=32), filled=0.9)
+    np.testing.assert_array_equal(few.probability_old, trials.values(full, full.theta, Settings())[0])
+
+
 def test_trials_are_named_by_what_rose():
     several = Trials(*np.array([[0.5, 0.5, 0.5, 0.5, 0.5], [0.5, 0.4, 0.4, 0.6, 0.7], [1.0] * 5, [1, 0, 2, 0, 1.5]]))
     assert trials.group(several).tolist() == [0, 1, 2, 3, 0]

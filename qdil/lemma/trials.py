@@ -54,24 +54,24 @@ class Trials(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="count")
-def problems(seed: int, count: int, falls: float) -> Problem:
+def problems(seed: int, count: int, falls: float, filled: float = FILLED) -> Problem:
     """``count`` random problems, axis (N) in front: an MDP, a policy and an archive each.
 
-    ``falls`` as in ``random_mdp``. An archive has every cell filled with probability one half.
+    ``falls`` as in ``random_mdp``; ``filled`` is the probability that a cell of an archive is filled.
     """
 
     def one(key: jax.Array) -> Problem:
         mdp_key, theta_key, archive_key = jax.random.split(key, 3)
         mdp = random_mdp(mdp_key, falls=falls)
         theta = jax.random.normal(theta_key, mdp.fall.shape)
-        return Problem(mdp, theta, jax.random.bernoulli(archive_key, FILLED, (CELLS, CELLS)))
+        return Problem(mdp, theta, jax.random.bernoulli(archive_key, filled, (CELLS, CELLS)))
 
     return jax.vmap(one)(jax.random.split(jax.random.key(seed), count))
 
 
-def by_ppo(seed: int, count: int, settings: Settings, falls: float = 0.0) -> Trials:
+def by_ppo(seed: int, count: int, settings: Settings, falls: float = 0.0, filled: float = FILLED) -> Trials:
     """One iteration of sampled PPO on ``count`` random problems."""
-    given = problems(seed, count, falls)
+    given = problems(seed, count, falls, filled)
     keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), 1), count)
     return _judged(given, _improved(keys, given, _fixed(settings), _loose(settings)), settings)
 
