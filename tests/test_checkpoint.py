@@ -1,19 +1,16 @@
 """Runs that are interrupted, damaged, or started twice: nothing is lost and nothing is different in the end."""
 
 import fcntl
+import json
 import os
-import random
-import signal
-import subprocess
-import sys
-import time
+import shutil
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
-from qdil import checkpoint, ppga, run
+from qdil import checkpoint, manifest, ppga, run
 from qdil.checkpoint import Progress
 from qdil.config import ConfigError, make_config
 from qdil.files import sha256
@@ -73,6 +70,35 @@ def test_a_resumed_run_ends_as_if_nothing_had_happened(interrupted, uninterrupte
     assert not (interrupted / "checkpoint").exists()
 
 
+@pytest.fixture(scope="module")
+def demos(uninterrupted, tmp_path_factory) -> Path:
+    return run.make_demos("walker2d", "smoke", 1, 1, uninterrupted, tmp_path_factory.mktemp("demos") / "demos.npz")
+
+
+@pytest.mark.parametrize("method", ["mconbo-gail", "vail", "pwil"])
+def test_an_imitator_resumes_as_if_nothing_had_happened(method, demos, tmp_path):
+    """With what its reward model has learned, its optimiser, and what it remembers of episodes that are going on."""
+    config = make_config("walker2d", method, "smoke", iterations=3)
+    run.train(config, tmp_path / "whole", demos)
+    with pytest.raises(Stopped):
+        run.train(config, tmp_path / "resumed", demos, stop_after(2))
+    seen = []
+    run.train(config, tmp_path / "resumed", demos, lambda search, row: seen.append(row["iteration"]))
+    assert seen == [2, 3]
+    assert same_run(tmp_path / "resumed", tmp_path / "whole")
+
+
+def test_the_manifest_of_a_resumed_run_tells_all_beginnings(interrupted, uninterrupted, monkeypatch):
+    manifests = [json.loads((uninterrupted / "manifest.json").read_text())]
+    monkeypatch.setattr(manifest, "begin", lambda: {"commit": "another", "start": "2100-01-01T00:00:00+00:00"})
+    run.train(CONFIG, interrupted)
+    manifests.append(json.loads((interrupted / "manifest.json").read_text()))
+    assert manifests[0]["resumed"] == [] and "commits" not in manifests[0]
+    assert manifests[0]["start"] <= manifests[1]["start"] < "2100"
+    assert manifests[1]["resumed"] == ["2100-01-01T00:00:00+00:00"]
+    assert manifests[1]["commits"] == [manifests[0]["commit"], "another"] and manifests[1]["commit"] == "another"
+
+
 def test_an_interrupted_warm_up_goes_on_too(tmp_path, uninterrupted, monkeypatch):
     rounds = []
     warm_up = ppga.warm_up
@@ -105,6 +131,25 @@ def test_a_damaged_checkpoint_is_noticed_and_the_one_before_used(interrupted, un
     seen = []
     run.train(CONFIG, interrupted, report=lambda search, row: seen.append(row["iteration"]))
     assert seen[0] == 2 and int(before.name.split("-")[1]) == 1
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_a_checkpoint_that_cannot_be_read_is_passed_over_and_kept(interrupted, uninterrupted, monkeypatch):
+    newest, before = sorted((interrupted / "checkpoint").glob("*.npz"), reverse=True)
+    read_bytes, there = Path.read_bytes, []
+
+    def fails(path):
+        if path == newest:
+            raise OSError(5, "Input/output error")
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", fails)
+
+    def look(search, row):
+        there.append((row["iteration"], newest.exists()))
+
+    run.train(CONFIG, interrupted, report=look)
+    assert there[0] == (2, True) and int(before.name.split("-")[1]) == 1
     assert same_run(interrupted, uninterrupted)
 
 
@@ -145,6 +190,64 @@ def test_a_folder_is_one_processes_at_a_time(interrupted, uninterrupted):
     assert same_run(interrupted, uninterrupted)
 
 
+def fails_to_begin(*args):
+    raise AssertionError("it began to compile")
+
+
+def test_a_busy_folder_is_refused_before_anything_compiles(interrupted, monkeypatch):
+    monkeypatch.setattr(ppga, "begin", fails_to_begin)
+    with checkpoint.locked(interrupted), pytest.raises(ConfigError, match="another process"):
+        run.train(CONFIG, interrupted)
+
+
+def test_a_run_that_finishes_just_before_the_lock_is_taken_is_left_alone(tmp_path, uninterrupted, monkeypatch):
+    folder, locked = tmp_path / "run", checkpoint.locked
+
+    def locked_late(run_folder):
+        shutil.copytree(uninterrupted, run_folder)  # another process was faster
+        return locked(run_folder)
+
+    monkeypatch.setattr(checkpoint, "locked", locked_late)
+    monkeypatch.setattr(ppga, "begin", fails_to_begin)
+    assert not run.train(CONFIG, folder)
+    assert {path.name for path in folder.iterdir()} == {path.name for path in uninterrupted.iterdir()}
+
+
+def test_a_lock_that_was_removed_with_its_folder_locks_nothing(tmp_path, monkeypatch):
+    """Whoever waited at the door of a run that has just finished must not share the folder with who comes next."""
+    flock, turns = fcntl.flock, []
+
+    def flock_late(file, operation):
+        if not turns:
+            checkpoint.remove(tmp_path)
+        turns.append(operation)
+        flock(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", flock_late)
+    with checkpoint.locked(tmp_path):
+        assert len(turns) == 2
+        with pytest.raises(ConfigError, match="another process"), checkpoint.locked(tmp_path):
+            pass
+
+
+def test_what_killed_processes_left_is_cleared(tmp_path, uninterrupted):
+    folder = tmp_path / "run"
+    shutil.copytree(uninterrupted, folder)
+    (folder / "checkpoint").mkdir()
+    (folder / "checkpoint" / "lock").touch()
+    assert not run.train(CONFIG, folder)  # killed right after its manifest was written
+    assert not (folder / "checkpoint").exists()
+
+    (folder / "manifest.json").unlink()
+    (folder / "checkpoint").mkdir()
+    half = [folder / ".policies.npz.a1_b2c3d", folder / "checkpoint" / f".000002-000001-{'0' * 64}.npz.abcdefgh"]
+    theirs = [folder / ".gitkeep", folder / ".notes.json"]
+    for path in half + theirs:
+        path.touch()
+    run.train(CONFIG, folder)
+    assert not any(path.exists() for path in half) and all(path.exists() for path in theirs)
+
+
 def test_other_demonstrations_are_refused(tmp_path):
     search = ppga.begin(CONFIG, None)
     checkpoint.save(tmp_path, search, Progress(iteration=1), "one")
@@ -175,30 +278,3 @@ def test_what_is_loaded_is_what_was_saved(tmp_path):
             np.testing.assert_array_equal(one[name], other[name])
     np.testing.assert_array_equal(search.xnes.ask(), loaded.xnes.ask())
     assert search.rng.integers(1 << 60) == loaded.rng.integers(1 << 60)
-
-
-def killed_at_random(folder: Path, kills: int) -> None:
-    """Train in processes of their own, all but the last killed at random moments."""
-    code = (
-        "from pathlib import Path; from qdil import run; from qdil.config import make_config; run.SAVE_EVERY = 0.0;"
-        "run.SAVE_SHARE = 1e9; config = make_config('walker2d', 'true', 'smoke', "
-        f"iterations={4 * kills});"
-        f"run.train(config, Path({str(folder)!r}))"
-    )
-    rng = random.Random(0)
-    for _ in range(kills):
-        process = subprocess.Popen([sys.executable, "-c", code])
-        before = {path.name for path in (folder / "checkpoint").glob("*.npz")}
-        while process.poll() is None and {path.name for path in (folder / "checkpoint").glob("*.npz")} == before:
-            time.sleep(0.05)
-        time.sleep(rng.uniform(0.0, 0.7))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
-def test_kills_change_nothing(tmp_path, kills):
-    run.train(make_config("walker2d", "true", "smoke", iterations=4 * kills), tmp_path / "whole")
-    killed_at_random(tmp_path / "killed", kills)
-    assert same_run(tmp_path / "killed", tmp_path / "whole")
