@@ -32,7 +32,7 @@ def _set_compilation_cache() -> None:
     root = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folder = root / "qdil" / f"jaxlib-{version('jaxlib')}-{platform.machine()}"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # many small programs are seconds too
 
 
 def _keep_host_devices_from_waiting_for_ever() -> None:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec as P
 
-from qdil import phases
+from qdil import ahead, phases
 from qdil.config import Config
 from qdil.imitation.methods import reward_model
 from qdil.imitation.reward_model import Demonstrations, RewardModel
@@ -71,6 +71,7 @@ class Compiled(NamedTuple):
     parts: Parts
     model: RewardModel
     num_devices: int
+    ahead: Any  # (key, demos) -> None, compiles all that follow at once
     init: Any  # (key, demos) -> State
     train: Any  # (state, occupied, weights (K, 1+k), tied, num_updates, epochs) -> Trained
     branch: Any  # (state, theta (K, P), coefficients (λ, 1+k)) -> (candidates: Policies, jacobian (1+k, P))
@@ -93,6 +94,7 @@ def compile_run(config: Config) -> Compiled:
         programs.parts,
         rewards.model,
         num_devices,
+        ahead=partial(ahead.compile_all, programs, rewards, config, num_devices),
         init=partial(_init, programs, rewards),
         train=partial(_train, programs, rewards, bonus_of(config)),
         branch=lambda state, theta, c: programs.branch(state.learner.policy, state.stats, theta, c),
@@ -119,13 +121,17 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     window = P(None, AXIS)  # (T, E)
     all_, each = P(), P(AXIS)
     pieces = parts.episodes
+
+    def learn(key: jax.Array, update: jax.Array, *args: Any) -> Any:
+        return vppo.learn(parts.settings, jax.random.fold_in(key, update), *args)
+
     return SearchPrograms(
         parts,
         init=jax.jit(partial(phases.init, parts), out_shardings=(whole, whole, split)),
         fork=jax.jit(partial(vppo.fork, copies=parts.streams), out_shardings=whole),
         collect=shard(partial(vppo.collect, parts.env, parts.settings), (all_, all_, each), (each, window, window)),
         learn=shard(
-            lambda key, update, *args: vppo.learn(parts.settings, jax.random.fold_in(key, update), *args),
+            learn,
             (all_, all_, all_, all_, window, window, window, all_, all_, all_),
             all_,
         ),

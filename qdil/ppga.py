@@ -42,8 +42,9 @@ def begin(config: Config, demos: Demonstrations | None) -> Search:
     archives = archive.make(config.cells, k, theta_size, obs_size, config.archive_learning_rate, config.threshold_min)
     xnes_seed, elite_seed = np.random.SeedSequence(config.seed).spawn(2)
     xnes = XNES(config.sigma0, 1 + k, config.candidates, seed=xnes_seed)
-    state = compiled.init(jax.random.key(config.seed), demos)
-    compiled.jump(state, np.zeros(theta_size, np.float32), *np.zeros((2, obs_size), np.float32))  # compiles it now
+    key = jax.random.key(config.seed)
+    compiled.ahead(key, demos)
+    state = compiled.init(key, demos)
     return Search(config, compiled, archives, xnes, np.random.default_rng(elite_seed), demos, state)
 
 

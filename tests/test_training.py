@@ -29,14 +29,19 @@ def compilations():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
-def begun(method: str) -> ppga.Search:
-    """A smoke run after its warm-up and first iteration; imitators learn from made-up demonstrations."""
+def begin(method: str) -> ppga.Search:
+    """A smoke run before anything was called; imitators learn from made-up demonstrations."""
     config = make_config("walker2d", method, "smoke")
     rng = np.random.default_rng(0)
     shapes = {"obs": 17, "action": 6, "next_obs": 17, "proxy": 2}
     demos = Demonstrations(*(jnp.asarray(rng.normal(size=(60, width)), jnp.float32) for width in shapes.values()))
-    search = ppga.begin(config, None if method == "true" else demos)
-    search, *_ = ppga.warm_up(search, config.warmup_updates)
+    return ppga.begin(config, None if method == "true" else demos)
+
+
+def begun(method: str) -> ppga.Search:
+    """A smoke run after its warm-up and first iteration."""
+    search = begin(method)
+    search, *_ = ppga.warm_up(search, search.config.warmup_updates)
     return ppga.iteration(search)[0]
 
 
@@ -63,6 +68,22 @@ def test_no_compilation_after_the_first_iteration(name, request, compilations, m
     assert info["restarts"] == 1
     ppga.evaluate(search, ppga.batch_of_elites(search, 0), search.state.key)
     assert compilations == []
+
+
+@pytest.mark.parametrize("method", ["true", "mconbo-gail"])
+def test_a_run_compiles_all_its_programs_before_it_calls_one(method, compilations):
+    """What is compiled ahead must be what the calls look for, or everything would be compiled twice."""
+    jax.clear_caches()
+    search = begin(method)
+    ahead = set(compilations)
+    compilations.clear()
+    search, *_ = ppga.warm_up(search, 1)
+    search, _ = ppga.iteration(search)
+    simulate = ["init", "begin", "collect", "advance", "finish"]
+    programs = [*simulate, "fork", "learn", "unfork", "branch", "jump", "give_up", "pay", "pay_episodes"]
+    programs += ["update"] if search.compiled.model.learns else []
+    assert {f"jit({name})" for name in programs} <= ahead
+    assert [name for name in programs if f"jit({name})" in compilations] == []
 
 
 def spied(search: ppga.Search) -> tuple[ppga.Search, list]:
