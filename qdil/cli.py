@@ -211,18 +211,12 @@ def _bench(args: argparse.Namespace) -> int:
         make_config(env, "true", args.budget)
     from qdil.tools import bench
 
-    def say(env: str, what: str) -> None:
-        print(f"{env}: {what} …", file=sys.stderr, flush=True)
-
-    rows = {}
-    for env in robots:
-        say(env, "starting a run, with an empty and a warm cache")
-        rows[env] = bench.start_seconds(env)
-        say(env, f"{args.rounds} rounds at {args.budget}, minutes")
-        rows[env] |= bench.bench(env, args.budget, args.rounds)
-    for env in robots:
-        say(env, "the full budget's networks")
-        rows[env] |= bench.full_networks(env, args.rounds)
+    rows: dict[str, bench.Row] = {}
+    if len(robots) > 1:  # a process each, so that none inherits another's memory
+        for env in robots:
+            rows |= bench.in_a_process_of_its_own(env, args.budget, args.rounds)
+    else:
+        rows[robots[0]] = bench.everything(robots[0], args.budget, args.rounds)
     print(bench.as_json(rows) if args.json else bench.table(rows))
     return 0
 

@@ -33,8 +33,8 @@ class Config:
     # PPGA (Algorithm 1)
     iterations: int = 2000  # QD iterations N_Q (paper, Fig. 5)
     warmup_updates: int = 0  # plain PPO updates on the method's own reward before iteration 1 (ours; 0 in the paper)
-    gradient_updates: int = 10  # N1, VPPO updates behind each Jacobian (paper, Table 4)
-    walk_updates: int = 10  # N2, VPPO updates of the walk (paper, Table 4)
+    gradient_updates: int = 10  # N1, VPPO updates behind each Jacobian (authors; the paper's Table 4 is lost)
+    walk_updates: int = 10  # N2, VPPO updates of the walk (authors; the paper's Table 4 is lost)
     candidates: int = 300  # λ, branched policies an iteration (authors' setting)
     episodes: int = 10  # whole episodes per candidate (authors' setting)
     cells: int = 50  # grid cells per measure (paper: 50x50)
@@ -76,8 +76,8 @@ class Config:
     bonus_in_fitness: bool = False  # add the bonus to the fitness that fills the archive too
 
     # Reward models
-    reward_hidden: tuple[int, ...] = (100, 100)  # tanh layers of every reward network (paper, Table 5)
-    reward_learning_rate: float = 3e-4  # Adam (paper, Table 5)
+    reward_hidden: tuple[int, ...] = (100, 100)  # tanh layers of reward networks (authors; the paper's Table 5 is lost)
+    reward_learning_rate: float = 3e-4  # Adam (authors; the paper's Table 5 is lost)
     reward_steps: int = 100  # discriminator steps per QD iteration (ours)
     reward_batch: int = 512  # expert rows, and as many policy rows, per discriminator step (ours)
     gradient_penalty: float = 10.0  # weight λ of GAIL's and VAIL's penalty (authors; the paper does not mention it)
@@ -87,7 +87,7 @@ class Config:
     vail_beta_rate: float = 1e-5  # dual ascent's step size (Peng et al., 2018)
     vail_latent: int = 128  # size of VAIL's latent z (Peng et al., 2018)
     giril_steps: int = 5000  # steps of GIRIL's training before the run (ours)
-    giril_learning_rate: float = 3e-4  # Adam (ours; as Table 5's)
+    giril_learning_rate: float = 3e-4  # Adam (ours; as the other reward models')
     giril_action_weight: float = 1.0  # α of eq. 9 (ours; the paper's Table 7 is lost)
     pwil_alpha: float = 5.0  # largest reward per step (Dadashi et al., 2021)
     pwil_beta: float = 5.0  # how fast the reward falls with the cost (Dadashi et al., 2021)

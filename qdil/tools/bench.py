@@ -10,7 +10,6 @@ import resource
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -28,14 +27,47 @@ from qdil.imitation.reward_model import Demonstrations
 from qdil.search import archive
 from qdil.search.rollout import split_each, start, window
 from qdil.sharding import AXIS, make_mesh
+from qdil.tools.start import start_seconds
 
 ROUNDS = 5  # turns that each speed is taken in
 WARMED = 60  # warm-up updates before anything is timed: a robot that can only fall says little about a run
 Row = dict[str, float]
 
 
+def everything(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
+    """All figures of one robot, saying on stderr what is being measured."""
+
+    def say(what: str) -> None:
+        print(f"{env}: {what} …", file=sys.stderr, flush=True)
+
+    say("starting a run, with an empty and a warm cache")
+    row = start_seconds(env)
+    say(f"{rounds} rounds at {budget}, minutes")
+    row |= bench(env, budget, rounds)
+    say("the full budget's networks")
+    return row | full_networks(env, rounds)
+
+
+def in_a_process_of_its_own(env: str, budget: str, rounds: int) -> dict[str, Row]:
+    """``everything`` of one robot, by robot."""
+    command = [
+        sys.executable,
+        "-m",
+        "qdil",
+        "bench",
+        "--env",
+        env,
+        "--budget",
+        budget,
+        "--rounds",
+        str(rounds),
+        "--json",
+    ]
+    return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+
+
 def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
-    """All figures of one robot. Takes minutes: it compiles everything anew for one and for all devices."""
+    """Speeds of one robot's runs. Takes minutes: it compiles everything anew for one and for all devices."""
     row: Row = {}
     true = _begun(env, "true", budget)
     bare = _bare_simulator(true.config, true.compiled.num_devices)
@@ -54,6 +86,7 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     row["evaluation_over_simulator"] = over["evaluation"]
     row["iteration_steps_per_second"] = speeds["iteration"]
     row["iteration_over_simulator"] = over["iteration"]
+    row["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # of one run, before the others
     imitator = _begun(env, "mconbo-gail", budget)
     ratios = _in_turns(
         {"simulator": bare, "iteration": _iterations_of(imitator), "reward": partial(_reward_update, imitator)}, rounds
@@ -68,7 +101,6 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
         if hasattr(os, "sched_setaffinity"):
             turns = _in_turns({"one": _on_one_core(one), "all": together}, rounds)
             row["all_cores_over_one"] = _against(turns, "one")[1]["all"]
-    row["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return row
 
 
@@ -103,20 +135,6 @@ def full_networks(env: str, rounds: int = ROUNDS) -> Row:
         * statistics.median(s / n for n, s in turns["product"]),
         "full_networks_over_floor": statistics.median(floors),
     }
-
-
-def start_seconds(env: str = "walker2d") -> Row:
-    """Seconds from starting a process to its first iteration's end at ``smoke``, with an empty and a warm cache."""
-    with tempfile.TemporaryDirectory() as folder:
-        variables = {**os.environ, "JAX_COMPILATION_CACHE_DIR": f"{folder}/cache"}
-        command = [sys.executable, "-m", "qdil", "train", "--env", env, "--method", "true", "--budget", "smoke"]
-        command += ["--set", "iterations=1", "--out"]
-        taken = []
-        for name in ("cold", "warm"):
-            began = time.monotonic()
-            subprocess.run([*command, f"{folder}/{name}"], env=variables, check=True, stdout=subprocess.DEVNULL)
-            taken.append(time.monotonic() - began)
-    return {"cold_start_seconds": taken[0], "warm_start_seconds": taken[1]}
 
 
 def _begun(env: str, method: str, budget: str, **changes: Any) -> ppga.Search:

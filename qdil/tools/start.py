@@ -1,0 +1,40 @@
+"""How long a run takes to start: from the process's start to its first iteration's end, cold and warm."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+
+# A run like any other, which also adds up what compiling, or loading from the cache, took over all of its programs.
+RUN = """
+import sys
+import qdil.cli
+import jax
+took = [0.0]
+def listen(event, seconds, **_):
+    if event.endswith("backend_compile_duration"):
+        took[0] += seconds
+jax.monitoring.register_event_duration_secs_listener(listen)
+code = qdil.cli.main(sys.argv[1:])
+print(took[0])
+sys.exit(code)
+"""
+
+
+def start_seconds(env: str = "walker2d", method: str = "true") -> dict[str, float]:
+    """Seconds at ``smoke``, ``cold`` and ``warm``: of the whole ``start``, and of its programs' ``compile`` added up.
+
+    Programs compile beside each other and beside other work, so that the sum can exceed what a start takes.
+    """
+    row: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        variables = {**os.environ, "JAX_COMPILATION_CACHE_DIR": f"{folder}/cache"}
+        command = [sys.executable, "-c", RUN, "train", "--env", env, "--method", method, "--budget", "smoke"]
+        command += ["--set", "iterations=1", "--out"]
+        for name in ("cold", "warm"):
+            began = time.monotonic()
+            done = subprocess.run([*command, f"{folder}/{name}"], env=variables, check=True, stdout=subprocess.PIPE)
+            row[f"{name}_start_seconds"] = time.monotonic() - began
+            row[f"{name}_compile_seconds"] = float(done.stdout.split()[-1])
+    return row
