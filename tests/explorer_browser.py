@@ -75,8 +75,8 @@ def centre(frame, cell, cells=explorer_runs.CELLS):
     return {"x": 50 + (first + 0.5) * size / cells, "y": 10 + size - (second + 0.5) * size / cells}
 
 
-def click(frame, cell, **how):
-    frame.locator(".qdil-map").click(position=centre(frame, cell), **how)
+def click(frame, cell, cells=explorer_runs.CELLS, **how):
+    frame.locator(".qdil-map").click(position=centre(frame, cell, cells), **how)
 
 
 def labels(frame):

@@ -5,7 +5,6 @@ import os
 import explorer_runs
 from explorer_browser import (
     BEST,
-    Watched,
     centre,
     click,
     drawn,
@@ -50,6 +49,7 @@ def test_keys_move_through_cells_and_an_empty_one_says_so(opened, runs):
     assert labels(page)[0]["cell"] == "12"
     page.keyboard.press("b")
     assert labels(page)[0]["cell"] == str(BEST)
+    wait_for(page, "plays")
     page.keyboard.press(" ")
     drawn(page)
     stopped = time_shown(page)
@@ -144,16 +144,3 @@ def test_without_policies_the_heatmap_still_works_and_says_why_no_robot_walks(op
     assert (shown["state"], float(shown["return"])) == ("none", 171.75)
     assert "policies are not on this machine" in watched.page.locator(".qdil-label").inner_text()
     watched.is_clean()
-
-
-def test_a_notebooks_output_is_live_over_its_picture(browser, runs, tmp_path):
-    html = qdil.explore(runs["true"], live=False)._repr_html_()
-    (tmp_path / "output.html").write_text(f"<!doctype html>{html}")
-    page = browser.new_page()
-    watched = Watched(page)
-    page.goto((tmp_path / "output.html").as_uri())
-    frame = page.frame_locator("iframe")
-    frame.locator(".qdil-label[data-state=plays]").wait_for()
-    assert page.locator("img").evaluate("image => image.naturalWidth") > 500
-    watched.is_clean()
-    page.close()
