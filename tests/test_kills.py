@@ -78,7 +78,8 @@ WORDS = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", 
 
 def qdil_train(folder: Path, first: str = "") -> subprocess.Popen:
     """``qdil train`` as a process of its own that saves as often as it may; ``first``, a statement, runs before it."""
-    code = f"import resource, signal, sys; from qdil.cli import main\n{first}\nsys.exit(main({[*WORDS, str(folder)]!r}))"
+    words = [*WORDS, str(folder)]
+    code = f"import resource, signal, sys; from qdil.cli import main\n{first}\nsys.exit(main({words!r}))"
     environment = {**os.environ, "QDIL_SAVE_SECONDS": "0"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=ROOT, text=True, **pipes)
