@@ -47,8 +47,9 @@ def test_a_smoke_figure_is_kept_apart(opened):
     assert not (root / "results" / "figures").exists()
 
 
-def test_a_sentence_is_shown_and_writes_nothing(opened, capsys):
+def test_a_sentence_or_a_figure_without_a_name_is_shown_and_writes_nothing(opened, capsys):
     root = opened("laptop")
+    page.show(Figure(), None)
     page.show("No run is finished yet.", "fig-5")
     page.show(None, "fig-5")
     assert capsys.readouterr().out.count("Markdown") == 1 and not (root / "results").exists()

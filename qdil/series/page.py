@@ -89,14 +89,17 @@ def demonstrations(env: str, budget: str) -> Path | None:
     return None
 
 
-def show(figure: Figure | str | None, name: str, env: str | None = None) -> None:
+def show(figure: Figure | str | None, name: str | None, env: str | None = None) -> None:
     """Display a figure and write it as PNG and PDF, called after the page's budget and robot: ``laptop-walker2d-NAME``.
 
-    ``env`` is the robot that it shows where that is not the page's own. A text is displayed and not written, for where
-    there is nothing to draw yet; None is nothing at all. At ``smoke`` files go to a folder that git ignores.
+    ``env`` is the robot that it shows where that is not the page's own. A figure without a name is not written, for
+    where what it is about has no run yet; nor is a text, for where there is nothing to draw. None is nothing at all.
+    At ``smoke`` files go to a folder that git ignores.
     """
     if isinstance(figure, Figure):
         display(figure)
+        if name is None:
+            return
         plotting.save(figure, figures_folder(OPENED["budget"]) / f"{OPENED['budget']}-{env or OPENED['env']}-{name}")
     elif figure is not None:
         display(Markdown(figure))
