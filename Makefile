@@ -15,7 +15,7 @@ reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke
 test: $(VENV)/.installed lint  ## lint, type check and every test
 	$(RUN) -m pytest
 
-test-slow: $(VENV)/.installed  ## whole runs on all robots, ten kills, the bench: many minutes
+test-slow: $(VENV)/.installed  ## whole runs on all robots, a dozen kills, the bench: many minutes
 	$(RUN) -m pytest -m slow
 
 lint: $(VENV)/.installed
@@ -31,7 +31,7 @@ $(VENV)/.installed: environment.lock pyproject.toml
 
 sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d studies=main seeds=1,2,3", or methods=true,gail)
 	$(RUN) -m snakemake --snakefile workflow/Snakefile --cores all --nolock --rerun-incomplete --rerun-triggers mtime \
-		--config budget=$(BUDGET) $(SWEEP)
+		--retries 1 --config budget=$(BUDGET) $(SWEEP)
 
 site: $(VENV)/.installed  ## the executed notebooks as web pages in build/site (SITE=smoke, laptop or full: that budget's)
 	$(RUN) -m qdil.series.site $(if $(SITE),--budget $(SITE))

@@ -8,6 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
+from snakemake.cli import get_argument_parser
+
+from qdil.series import index
 
 ROOT = Path(__file__).parent.parent
 SNAKEMAKE = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "workflow" / "Snakefile"), "--cores", "2"]
@@ -106,16 +110,60 @@ def test_a_wrong_method_is_refused_in_a_sentence(tmp_path):
     assert said.returncode != 0 and "unknown method 'gial'" in said.stdout + said.stderr
 
 
+def test_all_notebooks_are_a_target_of_their_own(tmp_path):
+    """With nothing said but the budget: every numbered notebook, and at smoke the runs that they show."""
+    settings = ["--config", "budget=smoke", f"results={tmp_path}", f"scratch={tmp_path}"]
+    command = [*SNAKEMAKE, "--dry-run", "--printshellcmds", "notebooks", *settings]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert said.returncode == 0, said.stdout + said.stderr
+    for name in index.names_in():
+        assert f"{name}.ipynb --target {tmp_path}/notebooks/smoke/{name}.ipynb" in said.stdout + said.stderr
+    assert "--env walker2d --seed 1 --minutes 30" in said.stdout + said.stderr
+    assert "study --budget smoke --env walker2d main" in said.stdout + said.stderr
+
+
+def test_the_example_profile_is_one_that_snakemake_takes():
+    """Its options are those of the command line; how often a job is begun again is left to it."""
+    profile = yaml.safe_load((ROOT / "workflow" / "profiles" / "slurm" / "config.yaml").read_text())
+    options = {option for action in get_argument_parser()._actions for option in action.option_strings}
+    assert {f"--{name}" for name in profile} <= options
+    assert profile["retries"] > 1 and profile["rerun-triggers"] == ["mtime"]
+    assert "retries:" not in (ROOT / "workflow" / "Snakefile").read_text()
+
+
+def wait_for(expert: Path, sweep: subprocess.Popen, log: Path) -> dict[int, str]:
+    """Until a sweep's first run has a checkpoint that holds several iterations; the rows of its metrics, by number."""
+    while sweep.poll() is None:
+        done = [int(path.name.split("-")[1]) for path in (expert / "checkpoint").glob("[0-9]*.npz")]
+        if max(done, default=0) >= 5:
+            return {int(line.split(",")[0]): line for line in (expert / "metrics.csv").read_text().splitlines()[1:]}
+        time.sleep(0.02)
+    raise AssertionError(log.read_text())
+
+
 @pytest.mark.skipif(os.name != "posix", reason="kills a process group")
-def test_a_killed_sweep_goes_on(tmp_path):
-    command = [*SNAKEMAKE, *config(tmp_path, "true,mbo-gail")]
-    sweep = subprocess.Popen(command, cwd=ROOT, start_new_session=True, stdout=subprocess.DEVNULL)
-    expert = tmp_path / "smoke" / "walker2d" / "true" / "seed-1"
-    while not (expert / "config.json").exists() and sweep.poll() is None:
-        time.sleep(0.1)
-    os.killpg(sweep.pid, signal.SIGKILL)
-    sweep.wait()
-    assert (expert / "config.json").exists() and not (expert / "manifest.json").exists()
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
-    for method in ("true", "mbo-gail"):
+def test_a_killed_sweep_goes_on_from_its_checkpoint(tmp_path):
+    """The rows that were written before the kill, clock readings and all, are those of the finished run."""
+    long = "+iterations=60"
+    settings = config(tmp_path, f"true{long},mbo-gail")
+    environment = {**os.environ, "QDIL_SAVE_SECONDS": "0"}
+    expert, log = tmp_path / "smoke" / "walker2d" / f"true{long}" / "seed-1", tmp_path / "log"
+    with open(log, "w") as file:
+        how = {"cwd": ROOT, "env": environment, "stdout": file, "stderr": subprocess.STDOUT}
+        command = [*SNAKEMAKE, "--printshellcmds", str(expert / "manifest.json"), *settings]
+        sweep = subprocess.Popen(command, start_new_session=True, **how)
+        try:
+            before = wait_for(expert, sweep, log)
+        finally:
+            os.killpg(sweep.pid, signal.SIGKILL)
+    assert sweep.wait() == -signal.SIGKILL
+    assert not (expert / "manifest.json").exists()
+    said = subprocess.run([*SNAKEMAKE, *settings], cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert said.returncode == 0, said.stdout + said.stderr
+    assert f"Going on with the unfinished run in {expert}" in said.stdout + said.stderr
+    for method in ("true", f"true{long}", "mbo-gail"):
         assert (tmp_path / "smoke" / "walker2d" / method / "seed-1" / "manifest.json").exists()
+    after = {int(line.split(",")[0]): line for line in (expert / "metrics.csv").read_text().splitlines()[1:]}
+    assert list(after) == list(range(1, 61))
+    kept = [number for number, line in before.items() if after[number] == line]
+    assert kept == list(range(1, len(kept) + 1)) and len(kept) >= 5
