@@ -92,7 +92,8 @@ def test_vs_code_is_known_by_its_variables(folder, monkeypatch):
 def test_methods_are_spelled_as_the_paper_spells_them(folder):
     spelled = {
         "true": "Expert", "gail": "GAIL", "mconbo-gail": "MConbo-GAIL", "mcond-vail": "MCond-VAIL",
-        "mbo-true": "Mbo-Expert", "maxent": "Max-Ent", "mconbo-gail-obs": "MConbo-GAIL from observation", "mbo-nearest": "Mbo-nearest",
+        "mbo-true": "Mbo-Expert", "maxent": "Max-Ent", "mconbo-gail-obs": "MConbo-GAIL from observation",
+        "mbo-nearest": "Mbo-nearest",
     }  # fmt: skip
     assert {method: names.title(method) for method in spelled} == spelled
     named = shown.read({"true": folder, "my own": folder})

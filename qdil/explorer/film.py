@@ -162,7 +162,7 @@ def _png(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
         strip = _gait(rollout, taken, MOMENTS * width, first)
         for step in moments:
             strip = _playhead(strip, int(step), taken)
-        about = f", bars: these {taken * rollout.seconds:.2g} s"
+        about = f"; bars: the {taken * rollout.seconds:.2g} s of the pictures"
         rows += [_head(shown, cell, MOMENTS * width, about), np.concatenate(pictures, axis=1), strip]
     buffer = io.BytesIO()
     Image.fromarray(np.concatenate(rows)).save(buffer, "PNG", optimize=True)

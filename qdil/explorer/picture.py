@@ -18,7 +18,7 @@ from qdil.plotting.style import RED
 
 WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches and dots: the size of the frame that lies over it
 MOMENTS = 3
-SKETCH, SKETCH_COLOURS = 4.4, 64  # inches across; few colours make a small file
+SKETCH, SKETCH_COLOURS = 4.6, 200  # inches across; few colours make a small file
 FEET = ("#e69f00", "#56b4e9")  # as in the front end
 
 
@@ -47,12 +47,12 @@ def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
 
 def sketch(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
     """A small PNG of the map alone, in few colours: drawn in a moment, since no robot has to be simulated for it."""
-    figure = Figure(figsize=(SKETCH, 1.25 * SKETCH), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(SKETCH, 1.36 * SKETCH), dpi=DPI, layout="constrained")
     _map(runs[state["run"]], figure)
     figure.supxlabel("Run this notebook to click cells and see their robots walk.", size=9)
     buffer = io.BytesIO()
     with Image.open(io.BytesIO(to_png(figure))) as drawn:
-        drawn.convert("RGB").quantize(SKETCH_COLOURS).save(buffer, "PNG", optimize=True)
+        drawn.convert("RGB").quantize(SKETCH_COLOURS, Image.Quantize.FASTOCTREE).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 
@@ -61,7 +61,7 @@ def _map(shown: Shown, figure: Figure | SubFigure) -> Axes:
     ax = figure.subplots()
     mesh = heatmap(shown.archive, ax, robot=shown.config["env"] if shown.config else None, colour_bar=False)
     bar = figure.colorbar(mesh, ax=ax, location="bottom", shrink=0.9)
-    bar.set_label("true return per episode (reward units); grey: empty cell")
+    bar.set_label("true return per episode (reward units)\ngrey: empty cell")
     ax.set_title(shown.name)
     if len(shown.demonstrators):
         x, y = np.transpose(shown.demonstrators)
