@@ -108,6 +108,18 @@ def test_what_is_not_finite_never_enters():
     assert np.isfinite(archive.metrics(archive.elite_arrays(archives), 16)["qd_score"])
 
 
+@pytest.mark.parametrize("field", [name for name in Candidates._fields if name != "finite"])
+def test_a_single_bad_number_in_any_field_keeps_a_candidate_out(field):
+    candidates = some([1.0, 2.0, 3.0], [[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]])
+    values = getattr(candidates, field).copy()
+    values[1, ...] = np.where(np.arange(values[1].size).reshape(values[1].shape) == 0, np.nan, values[1])
+    candidates = candidates._replace(**{field: values})
+    assert archive.usable(candidates).tolist() == [True, False, True]
+    archives = empty()
+    assert archive.add(archives, candidates).tolist() == [1 - FLOOR, 0, 3 - FLOOR]
+    assert archive.elite_arrays(archives)["fitness"].tolist() == [1, 3]
+
+
 def test_occupied_marks_exactly_the_filled_cells():
     archives = empty()
     measures = np.array([[0.0, 0.0], [0.3, 0.99], [1.0, 1.0], [0.6, 0.1], [0.31, 0.95]])

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from probes import counter
 
 from qdil import ppga
 from qdil.config import make_config
 from qdil.finite import all_finite, is_smaller
-from qdil.search import networks
+from qdil.robots import brax_robots
+from qdil.robots.environment import Environment, RobotState
+from qdil.search import archive, networks
 
 FLOATS = st.floats(width=32)
 
@@ -48,6 +51,49 @@ assert not bool(outcome.finite) and bool(outcome.terminated) and float(outcome.r
 """
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_enable_fast_math=true"
     subprocess.run([sys.executable, "-c", code], env={**os.environ, "XLA_FLAGS": flags}, check=True)
+
+
+FAR = 2.5  # where the probe's physics turns into not-a-number
+
+
+def diverging(name: str, backend: str) -> Environment:
+    """The counter as the door to Brax shows a robot that diverges: physics NaN, the last sound observation, no reward.
+
+    Going far pays, so that selection would like nothing better than what diverges.
+    """
+    probe = counter(np.inf, diverges_above=FAR)
+
+    def step(state, action):
+        after, outcome = probe.step(state, action)
+        physics = jnp.where(outcome.finite, after.physics, jnp.nan)
+        obs = jnp.where(outcome.finite, after.obs, state.obs)
+        return RobotState(physics, obs, after.proxy), outcome._replace(reward=jnp.where(outcome.finite, obs[0], 0.0))
+
+    return probe._replace(step=step)
+
+
+def test_a_candidate_that_diverges_enters_neither_archive_nor_normaliser(monkeypatch):
+    monkeypatch.setattr(brax_robots, "make", diverging)
+    # A length of no other test's: compiled programs are kept by settings, not by robot.
+    search = ppga.begin(make_config("walker2d", "true", "smoke", episode_length=13, sigma0=8.0), None)
+    add, tried = archive.add, []
+    monkeypatch.setattr(archive, "add", lambda archives, found: tried.append(found) or add(archives, found))
+    told = []
+    for _ in range(4):
+        search, info = ppga.iteration(search)
+        told.append(info)
+    lost = [~candidates.finite for candidates in tried]
+    assert sum(each.sum() for each in lost) > 0 and not all(each.all() for each in lost)
+    assert [info["not_finite"] for info in told] == [each.sum() for each in lost]
+    elites = archive.elite_arrays(search.archives)
+    assert len(elites["index"]) > 0 and all(np.isfinite(values).all() for values in elites.values())
+    diverged = np.concatenate([found.theta[each] for found, each in zip(tried, lost, strict=True)])
+    assert not (elites["solution"][:, None] == diverged[None]).all(axis=-1).any()
+    stats = search.state.stats
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(stats)) and float(stats.mean[0]) < FAR
+    windows = search.config.gradient_updates + search.config.walk_updates
+    assert float(stats.seen) == 4 * windows * search.config.window * search.config.num_envs
+    assert all(info["rolled_back"] == 0 for info in told)
 
 
 @pytest.fixture(scope="module")

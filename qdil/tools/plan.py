@@ -85,6 +85,7 @@ def _calibrated(config: Config, compiled: Compiled) -> Speed:
     began = time.monotonic()
     imitates = bases()[parse_method(config.method).base].imitates
     demos = _made_up(config, compiled.parts) if imitates else None
+    compiled.ahead(jax.random.key(0), demos)  # as a run begins
     state = compiled.init(jax.random.key(0), demos)
     trained, _ = _train(config, compiled, state, 1)
     _evaluate(config, compiled, state), _learn(config, compiled, trained, demos)
