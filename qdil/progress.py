@@ -34,7 +34,7 @@ class Progress:
         self.last_line = float("-inf")
         self.troubles = dict.fromkeys(TROUBLES, 0)
 
-    def begin(self, folder: Path, reached: tuple[int, int] | None) -> None:
+    def announce(self, folder: Path, reached: tuple[int, int] | None) -> None:
         """Say what is about to happen: all of a run in ``folder``, or the rest of one that ``reached`` that far."""
         warmed, done = reached or (0, 0)
         if reached:

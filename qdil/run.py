@@ -32,7 +32,7 @@ SAVE_EVERY = 20.0  # seconds between checkpoints (and rewrites of metrics.csv) w
 SAVE_VARIABLE = "QDIL_SAVE_SECONDS"  # an environment variable that says otherwise
 SAVE_SHARE = 0.03  # of a run's time, at most, goes into saving it
 
-# Called after every iteration with its row of metrics. One that also has ``begin(folder, reached)`` hears once that a
+# Called after every iteration with its row of metrics. One that also has ``announce(folder, reached)`` hears once that a
 # run is about to begin there, or to go on after these warm-up updates and iterations (``checkpoint.reached``).
 Report = Callable[[ppga.Search, dict[str, float]], None]
 
@@ -74,8 +74,8 @@ def train(config: Config, folder: Path, demos_file: Path | None = None, report: 
 
         if hosts.decided_by_first(lock_and_look_again):
             return False
-        if begin := getattr(report, "begin", None):
-            begin(folder, checkpoint.reached(folder))
+        if announce := getattr(report, "announce", None):
+            announce(folder, checkpoint.reached(folder))
         begun, search = manifest.begin(), ppga.begin(config, demos)
         if hosts.is_first():
             write_json(folder / "config.json", to_json(config))

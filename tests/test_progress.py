@@ -28,7 +28,7 @@ def row(iteration: int, env_steps: float, **more: float) -> dict[str, float]:
 
 def test_a_log_tells_the_beginning_and_now_and_then_an_iteration(clock, capsys):
     show = Progress(CONFIG, live=False)
-    show.begin(FOLDER, None)
+    show.announce(FOLDER, None)
     assert capsys.readouterr().out == "walker2d gail: compiling, then 6 warm-up updates\n"
     clock[0] += 60.0  # compilation
     show(None, row(1, 5_000))
@@ -49,12 +49,12 @@ def test_a_log_tells_the_beginning_and_now_and_then_an_iteration(clock, capsys):
 
 def test_a_run_that_goes_on_says_so_and_counts_only_what_it_does_itself(clock, capsys):
     show = Progress(CONFIG, live=False)
-    show.begin(FOLDER, (2, 0))
+    show.announce(FOLDER, (2, 0))
     said = capsys.readouterr().out
     assert said.startswith(f"Going on with the unfinished run in {FOLDER}: 0 of 10 iterations.\n")
     assert said.endswith("compiling, then 4 warm-up updates\n")
     show = Progress(CONFIG, live=False)
-    show.begin(FOLDER, (6, 4))
+    show.announce(FOLDER, (6, 4))
     said = capsys.readouterr().out
     assert "4 of 10 iterations" in said and said.endswith("walker2d gail: compiling\n")
     show(None, row(5, 50_000))
@@ -65,7 +65,7 @@ def test_a_run_that_goes_on_says_so_and_counts_only_what_it_does_itself(clock, c
 
 def test_a_bar_starts_where_the_run_goes_on(clock, capsys):
     show = Progress(CONFIG, live=True)
-    show.begin(FOLDER, (6, 4))
+    show.announce(FOLDER, (6, 4))
     assert (show.bar.n, show.bar.initial) == (4, 4)
     before = show.bar.start_t
     show(None, row(5, 50_000))
@@ -81,7 +81,7 @@ def test_a_bar_starts_where_the_run_goes_on(clock, capsys):
 @pytest.mark.parametrize("live", [False, True])
 def test_what_turned_not_finite_is_told_once_and_summed_up_at_the_end(live, clock, capsys):
     show = Progress(CONFIG, live)
-    show.begin(FOLDER, None)
+    show.announce(FOLDER, None)
     show(None, row(1, 1.0))
     show(None, row(2, 2.0, not_finite=3.0))
     said = capsys.readouterr().out
@@ -99,7 +99,7 @@ def test_what_turned_not_finite_is_told_once_and_summed_up_at_the_end(live, cloc
 
 def test_a_sound_run_says_nothing_of_trouble(clock, capsys):
     show = Progress(CONFIG, live=False)
-    show.begin(FOLDER, None)
+    show.announce(FOLDER, None)
     for iteration in range(1, 11):
         show(None, row(iteration, iteration))
     said = capsys.readouterr().out
@@ -108,5 +108,5 @@ def test_a_sound_run_says_nothing_of_trouble(clock, capsys):
 
 def test_devices_without_work_are_named_at_the_start(monkeypatch, capsys):
     monkeypatch.setattr(progress, "idle_devices", lambda requested, per_copy, candidates: "Using 5 of 8 devices.")
-    Progress(CONFIG, live=False).begin(FOLDER, None)
+    Progress(CONFIG, live=False).announce(FOLDER, None)
     assert capsys.readouterr().out.splitlines()[0] == "Using 5 of 8 devices."

@@ -14,6 +14,8 @@ from qdil.cli import main
 from qdil.config import Config, ConfigError, from_json, make_config
 from qdil.files import sha256, write_json
 from qdil.imitation import demos as demonstrations
+from qdil.plotting import LiveArchive
+from qdil.progress import Progress
 from qdil.search import history
 from qdil.tools import plan, verify
 
@@ -98,6 +100,13 @@ def test_demonstrations_are_whole_episodes_of_the_chosen_elites(made):
         np.testing.assert_allclose(demos["episode_return"][episode], demos["reward"][mine].sum(), rtol=1e-5)
         np.testing.assert_allclose(demos["episode_measures"][episode], demos["proxy"][mine].mean(axis=0), rtol=1e-5)
     assert np.abs(demos["action"]).max() <= 1.0
+
+
+@pytest.mark.parametrize("report", [Progress, LiveArchive, lambda config: lambda search, row: None])
+def test_whatever_watches_a_run_hears_of_it_in_the_way_it_can(report, tmp_path, capsys):
+    config = make_config("walker2d", "true", "smoke")
+    assert run.train(config, tmp_path, report=report(config))
+    assert ("compiling, then 2 warm-up updates" in capsys.readouterr().out) == (report is Progress)
 
 
 def test_same_seed_gives_the_same_bytes_and_another_seed_does_not(made, tmp_path):
