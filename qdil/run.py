@@ -32,8 +32,8 @@ SAVE_EVERY = 20.0  # seconds between checkpoints (and rewrites of metrics.csv) w
 SAVE_VARIABLE = "QDIL_SAVE_SECONDS"  # an environment variable that says otherwise
 SAVE_SHARE = 0.03  # of a run's time, at most, goes into saving it
 
-# Called after every iteration with its row of metrics. One that also has ``announce(folder, reached)`` hears once that a
-# run is about to begin there, or to go on after these warm-up updates and iterations (``checkpoint.reached``).
+# Called after every iteration with its row of metrics. One that also has ``announce(folder, reached)`` hears, once,
+# that a run is about to begin there, or to go on after these warm-up updates and iterations (``checkpoint.reached``).
 Report = Callable[[ppga.Search, dict[str, float]], None]
 
 
