@@ -4,6 +4,7 @@ Cut into pieces that a shell compiles one by one, so that the simulation is comp
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -97,8 +98,8 @@ def episodes(
         yes = jnp.ones(key.size, bool)
         return actors, Tally(yes, yes, zeros, jnp.zeros_like(actors.robot.proxy), zeros)
 
-    def act(theta: jax.Array, obs_mean: jax.Array, obs_std: jax.Array, key: jax.Array, obs: jax.Array) -> jax.Array:
-        zeros, policy = jnp.zeros_like(obs_mean), networks.unflatten(theta, like)
+    def act(policy: Params, obs_mean: jax.Array, obs_std: jax.Array, key: jax.Array, obs: jax.Array) -> jax.Array:
+        zeros = jnp.zeros_like(obs_mean)
         mean = networks.policy_mean(policy, ObsStats(obs_mean, obs_std, zeros, zeros), obs)
         if sample_actions:
             mean = mean + jax.random.normal(key, mean.shape) * jnp.exp(policy["log_std"])
@@ -106,11 +107,12 @@ def episodes(
 
     def drive(policies: Policies, actors: Actors, alive: jax.Array, finite: jax.Array):
         """A chunk of steps of some robots, each with its own policy."""
+        params = jax.vmap(partial(networks.unflatten, like=like))(policies.theta)  # once, and not at every step
 
         def step(carry, _):
             (robot, steps, limit, proxy_sum, key), alive, finite = carry
             key, act_key = split_each(key)
-            action = jax.vmap(act)(*policies, act_key, robot.obs)
+            action = jax.vmap(act)(params, policies.obs_mean, policies.obs_std, act_key, robot.obs)
             after, outcome = jax.vmap(env.step)(robot, action)
             steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
             truncated = (steps >= limit) & ~outcome.terminated
