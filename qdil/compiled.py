@@ -127,7 +127,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
 
     return SearchPrograms(
         parts,
-        init=jax.jit(partial(phases.init, parts), out_shardings=(whole, whole, split)),
+        init=jax.jit(partial(phases.init, parts), out_shardings=(whole, whole, split), compiler_options=_in_haste()),
         fork=jax.jit(partial(vppo.fork, copies=parts.streams), out_shardings=whole),
         collect=shard(partial(vppo.collect, parts.env, parts.settings), (all_, all_, each), (each, window, window)),
         learn=shard(
@@ -139,7 +139,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
         give_up=jax.jit(partial(phases.give_up, copies=parts.streams), out_shardings=(split, whole)),
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         episodes=Episodes(
-            shard(pieces.begin, (each,), each),
+            shard(pieces.begin, (each,), each, compiler_options=_in_haste()),
             shard(pieces.advance, (each, each, each), (each, each, window, window)),
             shard(pieces.finish, (each, each), each),
         ),
@@ -173,9 +173,15 @@ def reward_programs(config: Config, num_devices: int) -> RewardPrograms:
     )
 
 
-def _sharded(mesh: Any, function: Any, in_specs: Any, out_specs: Any) -> Any:
+def _sharded(mesh: Any, function: Any, in_specs: Any, out_specs: Any, compiler_options: Any = None) -> Any:
     """``function`` compiled to run on every device of ``mesh`` with its share of what is split."""
-    return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False))
+    split = jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
+    return jax.jit(split, compiler_options=compiler_options)
+
+
+def _in_haste() -> dict[str, int] | None:
+    """Compiler options for what begins episodes, once a run or an evaluation: on CPU, compiling it is what costs."""
+    return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
 
 
 def bonus_of(config: Config) -> tuple[float, float]:
