@@ -129,7 +129,12 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
         parts,
         init=jax.jit(partial(phases.init, parts), out_shardings=(whole, whole, split), compiler_options=_in_haste()),
         fork=jax.jit(partial(vppo.fork, copies=parts.streams), out_shardings=whole),
-        collect=shard(partial(vppo.collect, parts.env, parts.settings), (all_, all_, each), (each, window, window)),
+        collect=shard(
+            partial(vppo.collect, parts.env, parts.settings),
+            (all_, all_, each),
+            (each, window, window),
+            compiler_options=physics_options(),
+        ),
         learn=shard(
             learn,
             (all_, all_, all_, all_, window, window, window, all_, all_, all_),
@@ -140,7 +145,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         episodes=Episodes(
             shard(pieces.begin, (each,), each, compiler_options=_in_haste()),
-            shard(pieces.advance, (each, each, each), (each, each, window, window)),
+            shard(pieces.advance, (each, each, each), (each, each, window, window), compiler_options=physics_options()),
             shard(pieces.finish, (each, each), each),
         ),
         jump=jax.jit(partial(phases.jump, parts), out_shardings=whole),
@@ -179,7 +184,18 @@ def _sharded(mesh: Any, function: Any, in_specs: Any, out_specs: Any, compiler_o
     return jax.jit(split, compiler_options=compiler_options)
 
 
-def _in_haste() -> dict[str, int] | None:
+def physics_options() -> dict[str, Any] | None:
+    """Compiler options for programs that move robots, or None: on CPU, a step is hundreds of tiny operations.
+
+    XLA's older code generator is up to twice as fast at them as its present one, whose share of hand-made kernels does
+    not pay at this size. Learning, of large matrix products, is compiled as usual. Numbers differ by rounding.
+    """
+    if jax.default_backend() != "cpu":
+        return None
+    return {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
+
+
+def _in_haste() -> dict[str, Any] | None:
     """Compiler options for what begins episodes, once a run or an evaluation: on CPU, compiling it is what costs."""
     return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
 

@@ -152,10 +152,6 @@ PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
         "warmup_updates": 100,
         "threshold_min": -100.0,
     },  # fmt: skip
-    ("laptop", "humanoid"): {
-        "eval_chunk": 10,
-        "eval_tile": 12,
-    },  # early on it falls within a chunk: small ones waste less
     ("full", "humanoid"): {"sigma0": 0.5, "archive_learning_rate": 0.1, "learning_rate": 3e-4},
 }
 
