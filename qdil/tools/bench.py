@@ -22,6 +22,7 @@ import numpy as np
 from jax.sharding import PartitionSpec as P
 
 from qdil import ppga
+from qdil.compiled import physics_options
 from qdil.config import Config, make_config
 from qdil.imitation.reward_model import Demonstrations
 from qdil.search import archive
@@ -30,7 +31,7 @@ from qdil.sharding import AXIS, make_mesh
 from qdil.tools.start import start_seconds
 
 ROUNDS = 5  # turns that each speed is taken in
-WARMED = 60  # warm-up updates before anything is timed: a robot that can only fall says little about a run
+TAKEN = ("learner", "stats", "actors")  # what a run takes over from another that has warmed up
 Row = dict[str, float]
 
 
@@ -71,9 +72,11 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     row: Row = {}
     true = _begun(env, "true", budget)
     bare = _bare_simulator(true.config, true.compiled.num_devices)
+    tuned = _bare_simulator(true.config, true.compiled.num_devices, physics_options())
     ratios = _in_turns(
         {
             "simulator": bare,
+            "tuned": tuned,
             "vppo": partial(_updates, true),
             "evaluation": partial(_evaluation, true),
             "iteration": _iterations_of(true),
@@ -86,16 +89,18 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     row["evaluation_over_simulator"] = over["evaluation"]
     row["iteration_steps_per_second"] = speeds["iteration"]
     row["iteration_over_simulator"] = over["iteration"]
+    row["tuned_simulator_over_simulator"] = over["tuned"]
+    row["iteration_over_tuned_simulator"] = _against(ratios, "tuned")[1]["iteration"]
     row["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # of one run, before the others
-    imitator = _begun(env, "mconbo-gail", budget)
-    ratios = _in_turns(
-        {"simulator": bare, "iteration": _iterations_of(imitator), "reward": partial(_reward_update, imitator)}, rounds
-    )
+    imitator = _begun(env, "mconbo-gail", budget, like=true)
+    works = {"simulator": bare, "tuned": tuned, "iteration": _iterations_of(imitator)}
+    ratios = _in_turns({**works, "reward": partial(_reward_update, imitator)}, rounds)
     row["mconbo_gail_iteration_over_simulator"] = _against(ratios, "simulator")[1]["iteration"]
+    row["mconbo_gail_iteration_over_tuned_simulator"] = _against(ratios, "tuned")[1]["iteration"]
     seconds = {name: statistics.median(s for _, s in turns) for name, turns in ratios.items()}
     row["reward_update_share"] = seconds["reward"] / seconds["iteration"]
     if jax.local_device_count() > 1:
-        alone = _begun(env, "true", budget, devices=1)
+        alone = _begun(env, "true", budget, like=true, devices=1)
         one, together = _iterations_of(alone), _iterations_of(true)
         row["device_speedup"] = _against(_in_turns({"one": one, "all": together}, rounds), "one")[1]["all"]
         if hasattr(os, "sched_setaffinity"):
@@ -118,7 +123,7 @@ def full_networks(env: str, rounds: int = ROUNDS) -> Row:
     size, rate = 1024, 2.0 * 1024**3
     matrix = jnp.ones((size, size))
     product = jax.jit(lambda x: x @ x)
-    bare = _bare_simulator(config, search.compiled.num_devices)
+    bare = _bare_simulator(config, search.compiled.num_devices, physics_options())
     turns = _in_turns(
         {"simulator": bare, "vppo": partial(_updates, search), "product": lambda: _timed(product, matrix, rate)}, rounds
     )
@@ -137,11 +142,26 @@ def full_networks(env: str, rounds: int = ROUNDS) -> Row:
     }
 
 
-def _begun(env: str, method: str, budget: str, **changes: Any) -> ppga.Search:
-    """A run with everything compiled: after some warm-up and one iteration, on made-up demonstrations."""
+def _begun(env: str, method: str, budget: str, like: ppga.Search | None = None, **changes: Any) -> ppga.Search:
+    """A run with everything compiled, after one iteration; on made-up demonstrations.
+
+    It begins as the budget's runs do, after their warm-up: a robot that can only fall says little about a run. With
+    ``like`` it takes the robots, policy, critic and normaliser of that other run instead, on its own devices.
+    """
     config = make_config(env, method, budget, **changes)
     search = ppga.begin(config, None if method == "true" else _made_up_demonstrations(config))
-    return ppga.iteration(ppga.warmed_up(search, min(WARMED, config.warmup_updates)))[0]
+    if like is None:
+        search = ppga.warmed_up(search, config.warmup_updates)
+    else:
+        mine, theirs = search.state, like.state
+        moved = {name: _laid_out_as(getattr(mine, name), getattr(theirs, name)) for name in TAKEN}
+        search = search._replace(state=mine._replace(**moved))
+    return ppga.iteration(search)[0]
+
+
+def _laid_out_as(mine: Any, theirs: Any) -> Any:
+    """The numbers of ``theirs`` in the layout over devices of ``mine``."""
+    return jax.tree.map(lambda here, there: jax.device_put(there, here.sharding), mine, theirs)
 
 
 def _made_up_demonstrations(config: Config) -> Demonstrations:
@@ -199,8 +219,11 @@ def _timed(function: Any, argument: Any, amount: float) -> tuple[float, float]:
     return amount, time.monotonic() - began
 
 
-def _bare_simulator(config: Config, num_devices: int) -> Turn:
-    """Windows of random actions, resets and contacts included, on the run's own layout of robots over devices."""
+def _bare_simulator(config: Config, num_devices: int, compiler_options: Any = None) -> Turn:
+    """Windows of random actions, resets and contacts included, on the run's own layout of robots over devices.
+
+    Compiled as JAX compiles by itself, or with a run's own ``compiler_options``.
+    """
     from qdil.robots import brax_robots
 
     env = brax_robots.make(config.env, config.backend)
@@ -214,7 +237,8 @@ def _bare_simulator(config: Config, num_devices: int) -> Turn:
         return actors._replace(key=split_each(actors.key)[0]), jnp.sum(steps.reward)[None]
 
     mesh = make_mesh(num_devices)
-    run = jax.jit(jax.shard_map(drive, mesh=mesh, in_specs=P(AXIS), out_specs=(P(AXIS), P(AXIS)), check_vma=False))
+    over_devices = jax.shard_map(drive, mesh=mesh, in_specs=P(AXIS), out_specs=(P(AXIS), P(AXIS)), check_vma=False)
+    run = jax.jit(over_devices, compiler_options=compiler_options)
     keys = jax.random.split(jax.random.key(0), config.num_envs)
     now = [run(jax.jit(lambda k: start(env, k, config.episode_length, in_step=False))(keys))[0]]
     windows = config.gradient_updates + config.walk_updates
