@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 HOST_DEVICES_FLAG = "--xla_force_host_platform_device_count"
-ONE_CORE_FLAG = "--xla_cpu_multi_thread_eigen"
 
 
 def _cores() -> int:
@@ -19,17 +18,11 @@ def _cores() -> int:
 def _set_host_devices() -> None:
     """Show each CPU core to JAX as a device, so the environment axis can be sharded over them.
 
-    Worth a factor of two in simulation speed on two cores. A device is one core: it does its matrix products alone.
-    Spread over all threads they would wait for the other devices' work, and for ever where that waits for theirs.
-    A user's own settings are left alone.
+    Worth a factor of two in simulation speed on two cores. A user's own setting is left alone.
     """
-    if "jax" in sys.modules:
-        return
     flags = os.environ.get("XLA_FLAGS", "")
-    for flag, value in ((HOST_DEVICES_FLAG, _cores()), (ONE_CORE_FLAG, "false")):
-        if flag not in flags:
-            flags += f" {flag}={value}"
-    os.environ["XLA_FLAGS"] = flags.strip()
+    if HOST_DEVICES_FLAG not in flags and "jax" not in sys.modules:
+        os.environ["XLA_FLAGS"] = f"{flags} {HOST_DEVICES_FLAG}={_cores()}".strip()
 
 
 def _set_compilation_cache() -> None:
@@ -42,8 +35,13 @@ def _set_compilation_cache() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # many small programs are seconds too
 
 
-def _set_dispatch() -> None:
-    """One program in flight at a time where devices are CPU cores: programs that meet there compete for threads."""
+def _keep_host_devices_from_waiting_for_ever() -> None:
+    """Twice as many threads as cores, and one program in flight at a time, where devices are CPU cores.
+
+    A device that waits for another's data blocks a thread. With no thread to spare the other device's arithmetic,
+    which is split over the same threads, can wait for that one, and the process hangs.
+    """
+    os.environ.setdefault("PJRT_NPROC", str(2 * _cores()))
     os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "false")
 
 
@@ -51,4 +49,4 @@ def prepare() -> None:
     """Apply all settings; called once, when ``qdil`` is imported."""
     _set_host_devices()
     _set_compilation_cache()
-    _set_dispatch()
+    _keep_host_devices_from_waiting_for_ever()
