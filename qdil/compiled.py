@@ -187,8 +187,8 @@ def _sharded(mesh: Any, function: Any, in_specs: Any, out_specs: Any, compiler_o
 def physics_options() -> dict[str, Any] | None:
     """Compiler options for programs that move robots, or None: on CPU, a step is hundreds of tiny operations.
 
-    XLA's older code generator is up to twice as fast at them as its present one, whose share of hand-made kernels does
-    not pay at this size. Learning, of large matrix products, is compiled as usual. Numbers differ by rounding.
+    XLA's older code generator is half as fast again at them as its present one, and its library of kernels does not pay
+    at this size (docs/performance.md). Learning is compiled as usual, which suits it. Numbers differ by rounding.
     """
     if jax.default_backend() != "cpu":
         return None
