@@ -35,13 +35,12 @@ def _set_compilation_cache() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # many small programs are seconds too
 
 
-def _keep_host_devices_from_waiting_for_ever() -> None:
-    """Twice as many threads as cores, and one program in flight at a time, where devices are CPU cores.
+def _run_small_programs_at_once() -> None:
+    """Where devices are CPU cores, run what is ready in the calling thread instead of queueing it.
 
-    A device that waits for another's data blocks a thread. With no thread to spare the other device's arithmetic,
-    which is split over the same threads, can wait for that one, and the process hangs.
+    JAX has one thread per device, and a device that waits for another's data keeps its own. Whatever else takes one
+    meanwhile can make them wait for ever; for the same reason, few programs are let into the queue (``qdil.compiled``).
     """
-    os.environ.setdefault("PJRT_NPROC", str(2 * _cores()))
     os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "false")
 
 
@@ -49,4 +48,4 @@ def prepare() -> None:
     """Apply all settings; called once, when ``qdil`` is imported."""
     _set_host_devices()
     _set_compilation_cache()
-    _keep_host_devices_from_waiting_for_ever()
+    _run_small_programs_at_once()

@@ -231,10 +231,13 @@ def _train(
     paid = jnp.asarray(bonus, jnp.float32)
     key, learn_key = jax.random.split(state.key)
     learner, stats, actors, carry = programs.fork(state.learner), state.stats, state.actors, state.reward_carry
+    info: dict[str, jax.Array] = {}
     for update in range(num_updates):
         actors, transitions, choice = programs.collect(learner, stats, actors)
         carry, fitness = rewards.pay(state.reward, carry, RewardContext(stats, occupied), paid, transitions)
         number = jnp.asarray(update, jnp.int32)
+        # Past some thirty programs in line, a launch blocks a thread that a device may need: they would wait for ever.
+        jax.block_until_ready(info)
         learner, stats, info = programs.learn(learn_key, number, learner, stats, transitions, choice, fitness, *how)
     first, theta, healthy = programs.unfork(learner, stats)
     if bool(healthy):
