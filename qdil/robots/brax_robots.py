@@ -2,13 +2,14 @@
 
 import io
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import jaxpr_as_fun
 
 from qdil.finite import is_smaller
 from qdil.robots.environment import Environment, Outcome, RobotState
@@ -88,6 +89,20 @@ def _constants_on_this_host() -> Iterator[None]:
         mjx.put_model = whole
 
 
+def _traced_once(function: Callable[..., Any], *like: Any) -> tuple[Callable[..., Any], Any]:
+    """``function`` as a replay of one trace, for arguments like these, and what it returns, as shapes.
+
+    Tracing Brax takes a second, and ``jax.jit`` does so again outside a mesh and inside one.
+    """
+    trace, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
+    replayed = jaxpr_as_fun(trace)
+
+    def replay(*args: Any) -> Any:
+        return jax.tree.unflatten(jax.tree.structure(shapes), replayed(*jax.tree.leaves(args)))
+
+    return replay, shapes
+
+
 @cache
 def make(name: str, backend: str = "spring") -> Environment:
     """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
@@ -103,24 +118,26 @@ def make(name: str, backend: str = "spring") -> Environment:
 
         with _constants_on_this_host():
             env: Any = envs.get_environment(ROBOTS[name].brax_name, backend=backend)
-        start = jax.eval_shape(env.reset, jax.random.key(0))
-        jax.eval_shape(partial(contact.get, env.sys), start.pipeline_state.x)  # the collision code is imported here
-    metric_names = tuple(start.metrics)
-    feet = jnp.asarray(foot_links(list(env.sys.link_names), ROBOTS[name].feet))
+        feet = jnp.asarray(foot_links(list(env.sys.link_names), ROBOTS[name].feet))
 
-    def proxy(physics: Any) -> jax.Array:
-        contacts = contact.get(env.sys, physics.x)
-        touching = contacts.dist <= TOUCHES.get(backend, 0.0)
-        of_foot = (contacts.link_idx[0] == feet[:, None]) | (contacts.link_idx[1] == feet[:, None])
-        return jnp.any(of_foot & touching, axis=1).astype(jnp.float32)
+        def proxy(physics: Any) -> jax.Array:
+            contacts = contact.get(env.sys, physics.x)
+            touching = contacts.dist <= TOUCHES.get(backend, 0.0)
+            of_foot = (contacts.link_idx[0] == feet[:, None]) | (contacts.link_idx[1] == feet[:, None])
+            return jnp.any(of_foot & touching, axis=1).astype(jnp.float32)
+
+        def begin(key: jax.Array) -> tuple[RobotState, dict[str, jax.Array]]:
+            state = env.reset(key)
+            return RobotState(state.pipeline_state, state.obs, proxy(state.pipeline_state)), state.metrics
+
+        begin, (start, metrics) = _traced_once(begin, jax.random.key(0))  # the collision code is imported here
 
     def reset(key: jax.Array) -> RobotState:
-        state = env.reset(key)
-        return RobotState(state.pipeline_state, state.obs, proxy(state.pipeline_state))
+        return begin(key)[0]
 
     def step(state: RobotState, action: jax.Array) -> tuple[RobotState, Outcome]:
         zero = jnp.zeros(())
-        before = State(state.physics, state.obs, zero, zero, {m: zero for m in metric_names})
+        before = State(state.physics, state.obs, zero, zero, dict.fromkeys(metrics, zero))
         after = env.step(before, jnp.clip(action, -1.0, 1.0))
         # A diverged robot ends its episode there; its last sound observation stands in for the lost one.
         finite = jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED)
@@ -128,7 +145,7 @@ def make(name: str, backend: str = "spring") -> Environment:
         outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
         return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome
 
-    # Traced once, whatever compiles them into itself; ``inline`` leaves no trace of that in the programs.
+    # ``inline`` leaves no mark in the programs that these become part of.
     reset, step = jax.jit(reset, inline=True), jax.jit(step, inline=True)
     obs_size = start.obs.shape[-1]  # the property of Brax traces a reset to find out
     return Environment(name, backend, obs_size, int(env.action_size), ROBOTS[name].feet, float(env.dt), reset, step)

@@ -63,7 +63,8 @@ def window(
     """
     key, pool_key = split_each(actors.key)
     pool_keys = jax.vmap(lambda k: jax.random.split(k, RESET_POOL))(pool_key)
-    pool = jax.vmap(jax.vmap(env.reset))(pool_keys)
+    starts = jax.vmap(env.reset)(pool_keys.reshape(-1))  # one vmap: a second would take as long to trace as the first
+    pool = jax.tree.map(lambda leaf: leaf.reshape(*pool_keys.shape, *leaf.shape[1:]), starts)
     actors = actors._replace(key=key)
     resets = jnp.zeros(actors.steps.shape, jnp.int32)
 
