@@ -171,7 +171,10 @@ def test_the_released_walk_follows_fitness_alone(imitator):
 
 
 def test_ppo_on_the_true_reward_improves(search):
-    """A few hundred tied updates on the fitness alone: the reward per step under π_θ clearly rises."""
+    """A few hundred tied updates on the fitness alone: the reward per step under π_θ clearly rises.
+
+    That many programs one after the other also find out whether devices can end up waiting for each other for ever.
+    """
     compiled = search.compiled
     state = compiled.init(jax.random.key(3), None)
     occupied = jnp.asarray(archive.occupied(search.archives))
