@@ -57,3 +57,28 @@ def test_layers_start_orthogonal():
     first, last = networks.init_mlp(jax.random.key(0), (4, 4, 3), last_scale=0.5)
     np.testing.assert_allclose(first["w"].T @ first["w"], 2 * np.eye(4), atol=1e-5)
     np.testing.assert_allclose(last["w"].T @ last["w"], 0.25 * np.eye(3), atol=1e-5)
+
+
+def test_columns_are_rows_on_their_side(policy):
+    layers = policy["mean"]
+    rows = np.random.default_rng(0).normal(size=(4, 7, 3)).astype(np.float32)
+    columns = networks.as_columns(jnp.asarray(rows))
+    np.testing.assert_array_equal(columns, rows.reshape(28, 3).T)
+    hidden = rows
+    for layer in layers[:-1]:
+        hidden = np.tanh(hidden @ layer["w"] + layer["b"])
+    expected = hidden @ layers[-1]["w"] + layers[-1]["b"]
+    np.testing.assert_allclose(networks.mlp_of_columns(layers, columns).T.reshape(4, 7, 2), expected, atol=1e-6)
+
+
+def test_columns_learn_what_rows_learn(policy):
+    rows = jnp.asarray(np.random.default_rng(0).normal(size=(4, 7, 3)), jnp.float32)
+
+    def by_columns(layers):
+        return jnp.sum(jnp.square(networks.mlp_of_columns(layers, networks.as_columns(rows))))
+
+    def by_rows(layers):
+        return jnp.sum(jnp.square(networks.mlp(layers, rows)))
+
+    gradients = jax.jit(jax.grad(by_columns))(policy["mean"]), jax.grad(by_rows)(policy["mean"])
+    jax.tree.map(lambda ours, theirs: np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6), *gradients)

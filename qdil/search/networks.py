@@ -32,6 +32,21 @@ def mlp(layers: Params, x: jax.Array) -> jax.Array:
     return x @ layers[-1]["w"] + layers[-1]["b"]
 
 
+def as_columns(x: jax.Array) -> jax.Array:
+    """Rows (..., F) as columns (F, n), laid out in memory like that: without the barrier XLA would only relabel them."""
+    return jax.lax.optimization_barrier(x.reshape(-1, x.shape[-1]).T)
+
+
+def mlp_of_columns(layers: Params, x: jax.Array) -> jax.Array:
+    """``mlp`` for inputs that are columns: (sizes[0], n) -> (sizes[-1], n).
+
+    Products of its gradient then sum along contiguous axes: XLA has fast kernels for those alone on a CPU.
+    """
+    for layer in layers[:-1]:
+        x = jnp.tanh(layer["w"].T @ x + layer["b"][:, None])
+    return layers[-1]["w"].T @ x + layers[-1]["b"][:, None]
+
+
 def init_policy(key: jax.Array, obs_size: int, action_size: int, hidden: Sequence[int], initial_std: float) -> Params:
     """A policy π_θ(a|s) = N(mlp(s), diag(std²)) with a learned, state-independent ``log_std`` (A,)."""
     return {

@@ -135,12 +135,13 @@ def loss(
     policy: Params, critic: Params, batch: Batch, settings: Settings
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """PPO's clipped surrogate and clipped value loss of one copy; ``batch.advantage`` is normalised already."""
-    mean = networks.mlp(policy["mean"], batch.obs)
+    obs = networks.as_columns(batch.obs)
+    mean = networks.mlp_of_columns(policy["mean"], obs).T.reshape(batch.choice.raw_action.shape)
     log_ratio = networks.log_prob(policy, mean, batch.choice.raw_action) - batch.choice.log_prob
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
     surrogate = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
-    value = networks.mlp(critic, batch.obs)
+    value = networks.mlp_of_columns(critic, obs).T.reshape(batch.value.shape)
     near = batch.value + jnp.clip(value - batch.value, -settings.clip, settings.clip)
     errors = jnp.maximum(jnp.square(value - batch.target), jnp.square(near - batch.target))
     value_loss = 0.5 * jnp.mean(errors)
