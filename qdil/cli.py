@@ -1,6 +1,7 @@
 """The command line, thin over the library; exit code 0 done, 1 failed or interrupted, 2 a request it cannot meet."""
 
 import argparse
+import atexit
 import gc
 import os
 import sys
@@ -275,6 +276,7 @@ def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     # Imports and tracing make millions of objects that stay: looking for garbage among them is a tenth of a start.
     gc.set_threshold(100_000, 20, 20)
+    atexit.register(gc.freeze)  # nor among them once more when the process ends
     try:
         return COMMANDS[args.command](args)
     except ConfigError as error:
