@@ -102,6 +102,8 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     if jax.local_device_count() > 1:
         alone = _begun(env, "true", budget, like=true, devices=1)
         one, together = _iterations_of(alone), _iterations_of(true)
+        bare_one = _bare_simulator(alone.config, 1, physics_options())
+        row["simulator_device_speedup"] = _against(_in_turns({"one": bare_one, "all": tuned}, rounds), "one")[1]["all"]
         row["device_speedup"] = _against(_in_turns({"one": one, "all": together}, rounds), "one")[1]["all"]
         if hasattr(os, "sched_setaffinity"):
             turns = _in_turns({"one": _on_one_core(one), "all": together}, rounds)
