@@ -1,4 +1,4 @@
-"""Process-wide settings that only count before JAX starts: host devices, their dispatch, the compilation cache."""
+"""Process-wide settings that count before JAX's devices start: how many on the host, dispatch, compilation cache."""
 
 import os
 import platform
@@ -15,13 +15,22 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
+def _set(variable: str, value: str | bool | int) -> None:
+    """One of JAX's settings, unless the user has set it; also where JAX was imported, and has read variables, first."""
+    if variable not in os.environ:
+        os.environ[variable] = str(value)
+        if "jax" in sys.modules:
+            sys.modules["jax"].config.update(variable.lower(), value)
+
+
 def _set_host_devices() -> None:
     """Show each CPU core to JAX as a device, so the environment axis can be sharded over them.
 
-    Worth a factor of two in simulation speed on two cores. A user's own setting is left alone.
+    Worth a factor of two in simulation speed on two cores. A user's own setting is left alone. XLA reads it when the
+    first device is asked for, so JAX may be imported already.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    if HOST_DEVICES_FLAG not in flags and "jax" not in sys.modules:
+    if HOST_DEVICES_FLAG not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {HOST_DEVICES_FLAG}={_cores()}".strip()
 
 
@@ -31,8 +40,8 @@ def _set_compilation_cache() -> None:
 
     root = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folder = root / "qdil" / f"jaxlib-{version('jaxlib')}-{platform.machine()}"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # many small programs are seconds too
+    _set("JAX_COMPILATION_CACHE_DIR", str(folder))
+    _set("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", 0)  # many small programs are seconds too
 
 
 def _run_small_programs_at_once() -> None:
@@ -41,7 +50,7 @@ def _run_small_programs_at_once() -> None:
     JAX has one thread per device, and a device that waits for another's data keeps its own. Whatever else takes one
     meanwhile can make them wait for ever; for the same reason, few programs are let into the queue (``qdil.compiled``).
     """
-    os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "false")
+    _set("JAX_CPU_ENABLE_ASYNC_DISPATCH", False)
 
 
 def prepare() -> None:

@@ -33,7 +33,7 @@ def mlp(layers: Params, x: jax.Array) -> jax.Array:
 
 
 def as_columns(x: jax.Array) -> jax.Array:
-    """Rows (..., F) as columns (F, n), laid out in memory like that: without the barrier XLA would only relabel them."""
+    """Rows (..., F) as columns (F, n), also in memory: without the barrier XLA would only relabel them."""
     return jax.lax.optimization_barrier(x.reshape(-1, x.shape[-1]).T)
 
 
