@@ -1,4 +1,4 @@
-"""Process-wide settings that count before JAX's devices start: how many on the host, dispatch, compilation cache."""
+"""Process-wide settings that count before JAX's devices start: how many on the host, and the compilation cache."""
 
 import os
 import platform
@@ -15,7 +15,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _set(variable: str, value: str | bool | int) -> None:
+def _set(variable: str, value: str | int) -> None:
     """One of JAX's settings, unless the user has set it; also where JAX was imported, and has read variables, first."""
     if variable not in os.environ:
         os.environ[variable] = str(value)
@@ -38,23 +38,15 @@ def _set_compilation_cache() -> None:
     """Keep compiled programs between processes, in one folder per jaxlib version and kind of machine."""
     from importlib.metadata import version
 
+    if "jax" in sys.modules and sys.modules["jax"].config.jax_compilation_cache_dir:
+        return  # set in a user's code
     root = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folder = root / "qdil" / f"jaxlib-{version('jaxlib')}-{platform.machine()}"
     _set("JAX_COMPILATION_CACHE_DIR", str(folder))
     _set("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", 0)  # many small programs are seconds too
 
 
-def _run_small_programs_at_once() -> None:
-    """Where devices are CPU cores, run what is ready in the calling thread instead of queueing it.
-
-    JAX has one thread per device, and a device that waits for another's data keeps its own. Whatever else takes one
-    meanwhile can make them wait for ever; for the same reason, few programs are let into the queue (``qdil.compiled``).
-    """
-    _set("JAX_CPU_ENABLE_ASYNC_DISPATCH", False)
-
-
 def prepare() -> None:
     """Apply all settings; called once, when ``qdil`` is imported."""
     _set_host_devices()
     _set_compilation_cache()
-    _run_small_programs_at_once()
