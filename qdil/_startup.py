@@ -8,7 +8,7 @@ from pathlib import Path
 HOST_DEVICES_FLAG = "--xla_force_host_platform_device_count"
 
 
-def _cores() -> int:
+def cores() -> int:
     """CPU cores this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -31,7 +31,7 @@ def _set_host_devices() -> None:
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if HOST_DEVICES_FLAG not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {HOST_DEVICES_FLAG}={_cores()}".strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {HOST_DEVICES_FLAG}={cores()}".strip()
 
 
 def _set_compilation_cache() -> None:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec as P
 
-from qdil import ahead, phases
+from qdil import ahead, compiler, phases
 from qdil.config import Config
 from qdil.imitation.methods import reward_model
 from qdil.imitation.reward_model import Demonstrations, RewardModel
@@ -120,32 +120,35 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     shard = partial(_sharded, mesh)
     window = P(None, AXIS)  # (T, E)
     all_, each = P(), P(AXIS)
-    pieces = parts.episodes
+    pieces, physics = parts.episodes, compiler.for_physics(num_devices)
 
     def learn(key: jax.Array, update: jax.Array, *args: Any) -> Any:
         return vppo.learn(parts.settings, jax.random.fold_in(key, update), *args)
 
     return SearchPrograms(
         parts,
-        init=jax.jit(partial(phases.init, parts), out_shardings=(whole, whole, split), compiler_options=_in_haste()),
+        init=jax.jit(
+            partial(phases.init, parts), out_shardings=(whole, whole, split), compiler_options=compiler.in_haste()
+        ),
         fork=jax.jit(partial(vppo.fork, copies=parts.streams), out_shardings=whole),
         collect=shard(
             partial(vppo.collect, parts.env, parts.settings),
             (all_, all_, each),
             (each, window, window),
-            compiler_options=physics_options(),
+            compiler_options=physics,
         ),
         learn=shard(
             learn,
             (all_, all_, all_, all_, window, window, window, all_, all_, all_),
             all_,
+            compiler_options=compiler.for_learning(num_devices),
         ),
         unfork=jax.jit(phases.unfork, out_shardings=whole),
         give_up=jax.jit(partial(phases.give_up, copies=parts.streams), out_shardings=(split, whole)),
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         episodes=Episodes(
-            shard(pieces.begin, (each,), each, compiler_options=_in_haste()),
-            shard(pieces.advance, (each, each, each), (each, each, window, window), compiler_options=physics_options()),
+            shard(pieces.begin, (each,), each, compiler_options=compiler.in_haste()),
+            shard(pieces.advance, (each, each, each), (each, each, window, window), compiler_options=physics),
             shard(pieces.finish, (each, each), each),
         ),
         jump=jax.jit(partial(phases.jump, parts), out_shardings=whole),
@@ -182,22 +185,6 @@ def _sharded(mesh: Any, function: Any, in_specs: Any, out_specs: Any, compiler_o
     """``function`` compiled to run on every device of ``mesh`` with its share of what is split."""
     split = jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
     return jax.jit(split, compiler_options=compiler_options)
-
-
-def physics_options() -> dict[str, Any] | None:
-    """Compiler options for programs that move robots, or None: on CPU, a step is hundreds of tiny operations.
-
-    XLA's older code generator is half as fast again at them as its present one, and its library of kernels does not pay
-    at this size (docs/performance.md). Learning is compiled as usual, which suits it. Numbers differ by rounding.
-    """
-    if jax.default_backend() != "cpu":
-        return None
-    return {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
-
-
-def _in_haste() -> dict[str, Any] | None:
-    """Compiler options for what begins episodes, once a run or an evaluation: on CPU, compiling it is what costs."""
-    return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
 
 
 def bonus_of(config: Config) -> tuple[float, float]:

@@ -22,7 +22,7 @@ import numpy as np
 from jax.sharding import PartitionSpec as P
 
 from qdil import ppga
-from qdil.compiled import physics_options
+from qdil.compiler import Options, for_physics
 from qdil.config import Config, make_config
 from qdil.imitation.reward_model import Demonstrations
 from qdil.search import archive
@@ -71,8 +71,9 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     """Speeds of one robot's runs. Takes minutes: it compiles everything anew for one and for all devices."""
     row: Row = {}
     true = _begun(env, "true", budget)
-    bare = _bare_simulator(true.config, true.compiled.num_devices)
-    tuned = _bare_simulator(true.config, true.compiled.num_devices, physics_options())
+    devices = true.compiled.num_devices
+    bare = _bare_simulator(true.config, devices)
+    tuned = _bare_simulator(true.config, devices, for_physics(devices))
     ratios = _in_turns(
         {
             "simulator": bare,
@@ -102,7 +103,7 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     if jax.local_device_count() > 1:
         alone = _begun(env, "true", budget, like=true, devices=1)
         one, together = _iterations_of(alone), _iterations_of(true)
-        bare_one = _bare_simulator(alone.config, 1, physics_options())
+        bare_one = _bare_simulator(alone.config, 1, for_physics(1))
         row["simulator_device_speedup"] = _against(_in_turns({"one": bare_one, "all": tuned}, rounds), "one")[1]["all"]
         row["device_speedup"] = _against(_in_turns({"one": one, "all": together}, rounds), "one")[1]["all"]
         if hasattr(os, "sched_setaffinity"):
@@ -125,7 +126,8 @@ def full_networks(env: str, rounds: int = ROUNDS) -> Row:
     size, rate = 1024, 2.0 * 1024**3
     matrix = jnp.ones((size, size))
     product = jax.jit(lambda x: x @ x)
-    bare = _bare_simulator(config, search.compiled.num_devices, physics_options())
+    devices = search.compiled.num_devices
+    bare = _bare_simulator(config, devices, for_physics(devices))
     turns = _in_turns(
         {"simulator": bare, "vppo": partial(_updates, search), "product": lambda: _timed(product, matrix, rate)}, rounds
     )
@@ -221,7 +223,7 @@ def _timed(function: Any, argument: Any, amount: float) -> tuple[float, float]:
     return amount, time.monotonic() - began
 
 
-def _bare_simulator(config: Config, num_devices: int, compiler_options: Any = None) -> Turn:
+def _bare_simulator(config: Config, num_devices: int, compiler_options: Options = None) -> Turn:
     """Windows of random actions, resets and contacts included, on the run's own layout of robots over devices.
 
     Compiled as JAX compiles by itself, or with a run's own ``compiler_options``.
