@@ -65,7 +65,9 @@ def _all(
     """In the order of their calls, but for the longest, the simulation, which go first."""
     whole, split, window = ahead.whole, ahead.split, ahead.window
     streams, env = programs.parts.streams, programs.parts.env
-    occupied = jnp.zeros((config.cells,) * len(env.measure_names), bool)
+    cells = (config.cells,) * len(env.measure_names)
+    given = jnp.zeros(cells, bool), jnp.zeros(2), jnp.eye(streams), jnp.asarray(True), jnp.asarray(0, jnp.int32), key
+    occupied, bonus, weights, tied, number, learn_key = ahead.lay_out(given, whole)
 
     learner, stats, actors = ahead(programs.init, key, gives=(whole, whole, split))
     copies = ahead(programs.fork, learner, gives=whole)
@@ -81,11 +83,10 @@ def _all(
 
     reward, carry = ahead(rewards.init, key, demos, gives=(whole, split))
     context = RewardContext(stats, occupied)
-    carry, fitness = ahead(rewards.pay, reward, carry, context, jnp.zeros(2), transitions, gives=(split, window))
-    how = jnp.eye(streams), jnp.asarray(True), jnp.asarray(0, jnp.int32)
-    number = jnp.asarray(0, jnp.int32)
+    carry, fitness = ahead(rewards.pay, reward, carry, context, bonus, transitions, gives=(split, window))
+    how = weights, tied, number
     copies, stats, _ = ahead(
-        programs.learn, key, number, copies, stats, transitions, choice, fitness, *how, gives=(whole, whole, whole)
+        programs.learn, learn_key, number, copies, stats, transitions, choice, fitness, *how, gives=(whole,) * 3
     )
     _, theta, _ = ahead(programs.unfork, copies, stats, gives=(whole, whole, whole))
     ahead(programs.give_up, actors, learner.policy)

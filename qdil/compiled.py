@@ -9,7 +9,7 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jax.sharding import PartitionSpec as P
 
 from qdil import ahead, compiler, phases
@@ -52,6 +52,7 @@ class SearchPrograms(NamedTuple):
     episodes: Episodes
     jump: Any
     place: Any  # a tree with axis (λ) in front, laid out over the devices as evaluation expects it
+    share: Any  # a tree given whole to every device; once for many calls, each of which would do it again
 
 
 class RewardPrograms(NamedTuple):
@@ -99,7 +100,7 @@ def compile_run(config: Config) -> Compiled:
         train=partial(_train, programs, rewards, bonus_of(config)),
         branch=lambda state, theta, c: programs.branch(state.learner.policy, state.stats, theta, c),
         score=partial(_score, programs, rewards),
-        update_reward=partial(_update_reward, rewards),
+        update_reward=partial(_update_reward, programs, rewards),
         jump=partial(_jump, programs),
         episodes=programs.episodes,
         place=programs.place,
@@ -153,6 +154,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
         ),
         jump=jax.jit(partial(phases.jump, parts), out_shardings=whole),
         place=lambda tree: laid_out(tree, split),
+        share=lambda tree: laid_out(tree, whole),
     )
 
 
@@ -214,15 +216,17 @@ def _train(
     ``weights`` (K, 1+k), ``tied`` and ``epochs`` as in ``vppo.learn``. The bonus reads the archive cells ``occupied``.
     A phase that ends in numbers that are not finite is undone, whole, and reported as ``rolled_back``.
     """
-    how = weights, jnp.asarray(tied, bool), jnp.asarray(epochs, jnp.int32)
-    paid = jnp.asarray(bonus, jnp.float32)
     key, learn_key = jax.random.split(state.key)
+    numbers = [np.int32(update) for update in range(num_updates)]
+    how = weights, np.bool_(tied), np.int32(epochs)
+    learn_key, numbers, how, paid, occupied = programs.share(
+        (learn_key, numbers, how, np.asarray(bonus, np.float32), occupied)
+    )
     learner, stats, actors, carry = programs.fork(state.learner), state.stats, state.actors, state.reward_carry
     info: dict[str, jax.Array] = {}
-    for update in range(num_updates):
+    for number in numbers:
         actors, transitions, choice = programs.collect(learner, stats, actors)
         carry, fitness = rewards.pay(state.reward, carry, RewardContext(stats, occupied), paid, transitions)
-        number = jnp.asarray(update, jnp.int32)
         # Past some thirty programs in line, a launch blocks a thread that a device may need: they would wait for ever.
         jax.block_until_ready(info)
         learner, stats, info = programs.learn(learn_key, number, learner, stats, transitions, choice, fitness, *how)
@@ -244,7 +248,7 @@ def _score(
     key: jax.Array,
 ) -> Scores:
     """Whole episodes of λ policies, scored by the reward model as it is now."""
-    context = RewardContext(state.stats, occupied)
+    context = RewardContext(state.stats, programs.share(occupied))
 
     def pay(carry: Any, transitions: Any, counted: jax.Array) -> Any:
         return rewards.pay_episodes(state.reward, carry, context, transitions, counted)
@@ -253,10 +257,10 @@ def _score(
 
 
 def _update_reward(
-    rewards: RewardPrograms, state: State, occupied: jax.Array, demos: Any, transitions: Any
+    programs: SearchPrograms, rewards: RewardPrograms, state: State, occupied: jax.Array, demos: Any, transitions: Any
 ) -> tuple[State, dict[str, jax.Array]]:
     key, update_key = jax.random.split(state.key)
-    context = RewardContext(state.stats, occupied)
+    context = RewardContext(state.stats, programs.share(occupied))
     reward, info = rewards.update(update_key, state.reward, context, demos, transitions)
     return state._replace(key=key, reward=reward), info
 
