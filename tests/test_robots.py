@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from qdil.robots import brax_robots
 from qdil.robots.environment import Environment, RobotState
@@ -25,6 +27,37 @@ def test_the_other_backends_step_and_feel_the_ground(backend):
     proxies = settle(env, state)
     assert np.isfinite(np.asarray(state.obs)).all() and state.obs.shape == (env.obs_size,)
     assert set(np.unique(proxies)) <= {0.0, 1.0} and proxies.max() == 1.0
+
+
+@given(st.data())
+def test_sums_over_links_are_numpys(data):
+    links = np.array(data.draw(st.lists(st.integers(-1, 4), min_size=1, max_size=12)))
+    rows = (
+        np.random.default_rng(0).normal(size=(len(links), *data.draw(st.sampled_from([(), (3,)])))).astype(np.float32)
+    )
+    expected = np.zeros((5, *rows.shape[1:]), np.float32)
+    for row, link in zip(rows, links, strict=True):
+        if link >= 0:
+            expected[link] += row
+    np.testing.assert_allclose(brax_robots.sum_by_link(jnp.asarray(rows), links, 5), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_a_robot_moves_as_braxs_own_does():
+    """The same start and actions, feet on the ground, in our environment and in Brax's as it comes."""
+    from brax import envs
+
+    env, plain = brax_robots.make("walker2d"), envs.get_environment("walker2d", backend="spring")
+    key = jax.random.key(4)
+    mine, theirs = jax.jit(env.reset)(key), jax.jit(plain.reset)(key)
+    np.testing.assert_array_equal(mine.obs, theirs.obs)
+    step, plain_step = jax.jit(env.step), jax.jit(plain.step)
+    touched = False
+    for action in np.random.default_rng(0).uniform(-1, 1, (25, env.action_size)):
+        (mine, outcome), theirs = step(mine, jnp.asarray(action)), plain_step(theirs, jnp.asarray(action))
+        touched |= bool(mine.proxy.any())
+        np.testing.assert_allclose(mine.obs, theirs.obs, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(outcome.reward, theirs.reward, rtol=1e-3, atol=1e-3)
+    assert touched
 
 
 def lifted(env: Environment, height: float) -> RobotState:
