@@ -42,6 +42,11 @@ def test_sums_over_links_are_numpys(data):
     np.testing.assert_allclose(brax_robots.sum_by_link(jnp.asarray(rows), links, 5), expected, rtol=1e-5, atol=1e-6)
 
 
+def test_sums_over_links_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="3 rows, but 2 links"):
+        brax_robots.sum_by_link(jnp.zeros((3, 2)), np.array([0, 1]), 2)
+
+
 def test_a_robot_moves_as_braxs_own_does():
     """The same start and actions, feet on the ground, in our environment and in Brax's as it comes."""
     from brax import envs

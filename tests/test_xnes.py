@@ -1,5 +1,8 @@
 """xNES: one step as the paper writes it, its invariances, ties, and life inside pyribs."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -48,6 +51,24 @@ def test_one_step_is_the_papers():
         np.testing.assert_allclose(xnes.mean, mean, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(xnes.sigma * xnes.shape, a, rtol=1e-9, atol=1e-12)
         assert np.linalg.det(xnes.shape) == pytest.approx(1)
+
+
+def test_a_step_leaves_no_thread_at_work():
+    """A process that sleeps after a step uses no core: BLAS' threads may spin on for a tenth of a second."""
+    code = """
+import time
+import numpy as np
+from qdil.search.xnes import XNES
+xnes = XNES(1.0, 3, 96, seed=0)
+xnes.ask()
+xnes.tell(np.arange(96), np.arange(96.0))
+xnes.check_stop(np.arange(96.0))
+before = time.process_time()
+time.sleep(0.5)
+print(time.process_time() - before)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 0.03
 
 
 def test_samples_have_the_mean_and_covariance_of_the_state():

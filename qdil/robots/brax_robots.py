@@ -1,6 +1,7 @@
 """The door to Brax: halfcheetah, walker2d and humanoid with foot contacts; nothing else imports Brax's physics."""
 
 import io
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -16,6 +17,7 @@ from qdil.finite import is_smaller
 from qdil.robots.environment import Environment, Outcome, RobotState
 
 DIVERGED = 1e6  # an observation or reward this large is no robot's: physics about to become infinite
+_TRACING = threading.RLock()  # threads that trace two robots at once must not meet each other's links
 BACKENDS = ("spring", "positional", "generalized", "mjx")
 # How far from the ground a foot may be and touch it, in metres. The positional backend moves what has sunk into the
 # ground out of it before a step ends: there feet rest a hair above, 0.05 mm on walker2d.
@@ -93,8 +95,11 @@ def _constants_on_this_host() -> Iterator[None]:
 def sum_by_link(rows: jax.Array, links: np.ndarray, num_links: int) -> jax.Array:
     """``jax.ops.segment_sum`` of rows (n, …) for ``links`` (n,) that are known beforehand; those below 0 are left out.
 
-    Written out as additions: on a CPU, XLA makes a loop over single rows of a scatter, a sixth of a step's operations.
+    Written out as additions: on a CPU, XLA makes a loop over single rows of a scatter. Raises ValueError where there
+    is not one link per row.
     """
+    if len(rows) != len(links):
+        raise ValueError(f"{len(rows)} rows, but {len(links)} links are known.")
     of_each = [[rows[i] for i in np.flatnonzero(links == link)] for link in range(num_links)]
     return jnp.stack([sum(some[1:], some[0]) if some else jnp.zeros_like(rows[0]) for some in of_each])
 
@@ -105,14 +110,15 @@ def _sums_written_out(links: dict[str, np.ndarray]) -> Iterator[None]:
     from brax.spring import collisions, joints
 
     modules: list[Any] = [joints, collisions]
-    before = [module.segment_sum for module in modules]
-    for module, known in zip(modules, (links["parent"], links["contact"]), strict=True):
-        module.segment_sum = lambda rows, _, num_links, known=known: sum_by_link(rows, known, num_links)
-    try:
-        yield
-    finally:
-        for module, whole in zip(modules, before, strict=True):
-            module.segment_sum = whole
+    with _TRACING:
+        before = [module.segment_sum for module in modules]
+        for module, known in zip(modules, (links["parent"], links["contact"]), strict=True):
+            module.segment_sum = lambda rows, _, num_links, known=known: sum_by_link(rows, known, num_links)
+        try:
+            yield
+        finally:
+            for module, whole in zip(modules, before, strict=True):
+                module.segment_sum = whole
 
 
 def _traced_once(function: Callable[..., Any], *like: Any) -> tuple[Callable[..., Any], Any]:
