@@ -28,6 +28,7 @@ class _Ahead:
         mesh = make_mesh(num_devices)
         self.whole, self.split = replicated(mesh), by_environment(mesh)
         self.window = NamedSharding(mesh, P(None, AXIS))  # (T, E)
+        self.chunks = NamedSharding(mesh, P(None, None, AXIS))  # (C, T, E)
         self.threads = threads
         self.going: list[Future] = []
 
@@ -63,7 +64,7 @@ def _all(
     ahead: _Ahead, programs: Any, rewards: Any, config: Config, key: jax.Array, demos: Demonstrations | None
 ) -> None:
     """In the order of their calls, but for the longest, the simulation, which go first."""
-    whole, split, window = ahead.whole, ahead.split, ahead.window
+    whole, split, window, chunks = ahead.whole, ahead.split, ahead.window, ahead.chunks
     streams, env = programs.parts.streams, programs.parts.env
     cells = (config.cells,) * len(env.measure_names)
     given = jnp.zeros(cells, bool), jnp.zeros(2), jnp.eye(streams), jnp.asarray(True), jnp.asarray(0, jnp.int32), key
@@ -78,7 +79,7 @@ def _all(
     rows = [jnp.zeros((every, size)) for size in (flat_size(programs.parts.like), env.obs_size, env.obs_size)]
     policies = ahead.lay_out(Policies(*rows), split)
     _, tally, steps, counted = ahead(
-        programs.episodes.advance, policies, evaluated, tally, gives=(split, split, window, window)
+        programs.episodes.advance, policies, evaluated, tally, gives=(split, split, chunks, chunks)
     )
 
     reward, carry = ahead(rewards.init, key, demos, gives=(whole, split))
@@ -93,8 +94,8 @@ def _all(
     ahead(programs.branch, learner.policy, stats, theta, jnp.zeros((every, streams)))
     ahead(programs.jump, learner, stats, *(np.zeros(row.shape[1], np.float32) for row in rows))
 
-    remembered = ahead(rewards.begin, reward, gives=split)
-    _, paid = ahead(rewards.pay_episodes, reward, remembered, context, steps, counted, gives=(split, split))
-    ahead(programs.episodes.finish, tally, paid)
+    paid = ahead(rewards.begin, reward, gives=split)
+    paid = ahead(rewards.pay_episodes, reward, paid, context, steps, counted, gives=split)
+    ahead(programs.episodes.finish, tally, paid.fitness)
     if rewards.model.learns:
         ahead(rewards.update, key, reward, context, demos, transitions)

@@ -20,15 +20,15 @@ from qdil.phases import Parts, State, Trained
 from qdil.registry import name_of, parse_method
 from qdil.robots import brax_robots
 from qdil.search import evaluate, vppo
-from qdil.search.evaluate import Episodes, Policies, Scores
+from qdil.search.evaluate import Episodes, Paid, Policies, Scores
 from qdil.sharding import AXIS, by_environment, choose_num_devices, laid_out, make_mesh, replicated
 from qdil.types import RewardContext
 
 # The settings that the search's programs depend on, and those that a reward's do.
 SEARCH_SETTINGS = (
-    "env", "backend", "candidates", "episodes", "sample_actions", "eval_chunk", "eval_tile", "actor_hidden",
-    "critic_hidden", "initial_std", "num_envs", "window", "episode_length", "minibatches", "gamma", "gae_lambda",
-    "clip", "value_coef", "entropy_coef", "max_grad_norm", "learning_rate", "target_kl",
+    "env", "backend", "candidates", "episodes", "sample_actions", "eval_chunk", "eval_turns", "eval_tile",
+    "actor_hidden", "critic_hidden", "initial_std", "num_envs", "window", "episode_length", "minibatches", "gamma",
+    "gae_lambda", "clip", "value_coef", "entropy_coef", "max_grad_norm", "learning_rate", "target_kl",
 )  # fmt: skip
 REWARD_SETTINGS = (
     "env", "backend", "candidates", "episodes", "num_envs", "episode_length", "bonus_scope", "expert_obs",
@@ -60,7 +60,7 @@ class RewardPrograms(NamedTuple):
 
     model: RewardModel
     init: Any
-    begin: Any  # (reward) -> what it remembers of each of λ·n episodes
+    begin: Any  # (reward) -> what is paid to λ·n episodes before they begin
     pay: Any
     pay_episodes: Any
     update: Any
@@ -119,7 +119,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     mesh = make_mesh(num_devices)
     whole, split = replicated(mesh), by_environment(mesh)
     shard = partial(_sharded, mesh)
-    window = P(None, AXIS)  # (T, E)
+    window, chunks = P(None, AXIS), P(None, None, AXIS)  # (T, E), (C, T, E)
     all_, each = P(), P(AXIS)
     pieces, physics = parts.episodes, compiler.for_physics(num_devices)
 
@@ -149,7 +149,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         episodes=Episodes(
             shard(pieces.begin, (each,), each, compiler_options=compiler.in_haste()),
-            shard(pieces.advance, (each, each, each), (each, each, window, window), compiler_options=physics),
+            shard(pieces.advance, (each, each, each), (each, each, chunks, chunks), compiler_options=physics),
             shard(pieces.finish, (each, each), each),
         ),
         jump=jax.jit(partial(phases.jump, parts), out_shardings=whole),
@@ -165,7 +165,7 @@ def reward_programs(config: Config, num_devices: int) -> RewardPrograms:
     mesh = make_mesh(num_devices)
     whole, split = replicated(mesh), by_environment(mesh)
     shard = partial(_sharded, mesh)
-    window = P(None, AXIS)
+    window, chunks = P(None, AXIS), P(None, None, AXIS)
     all_, each = P(), P(AXIS)
 
     def update(key: jax.Array, reward: Any, context: RewardContext, demos: Any, transitions: Any) -> Any:
@@ -176,9 +176,11 @@ def reward_programs(config: Config, num_devices: int) -> RewardPrograms:
     return RewardPrograms(
         model,
         init=jax.jit(partial(phases.init_reward, model, num_envs=config.num_envs), out_shardings=(whole, split)),
-        begin=jax.jit(lambda reward: model.begin(reward, config.candidates * config.episodes), out_shardings=split),
+        begin=jax.jit(
+            partial(phases.begin_paying, model, num_episodes=config.candidates * config.episodes), out_shardings=split
+        ),
         pay=shard(partial(phases.pay, model, config.bonus_scope), (all_, each, all_, all_, window), (each, window)),
-        pay_episodes=shard(partial(phases.pay_episodes, model), (all_, each, all_, window, window), (each, each)),
+        pay_episodes=shard(partial(phases.pay_episodes, model), (all_, each, all_, chunks, chunks), each),
         update=shard(update, (all_, all_, all_, all_, window), all_),
     )
 
@@ -250,8 +252,8 @@ def _score(
     """Whole episodes of λ policies, scored by the reward model as it is now."""
     context = RewardContext(state.stats, programs.share(occupied))
 
-    def pay(carry: Any, transitions: Any, counted: jax.Array) -> Any:
-        return rewards.pay_episodes(state.reward, carry, context, transitions, counted)
+    def pay(paid: Paid, transitions: Any, counted: jax.Array) -> Paid:
+        return rewards.pay_episodes(state.reward, paid, context, transitions, counted)
 
     return evaluate.run(programs.episodes, pay, policies, rewards.begin(state.reward), key)
 

@@ -44,7 +44,8 @@ class Config:
     selection: str = "learned"  # which return fills the archive: "learned" (Definition 1) or "true" (released program)
     walk_weights: str = "xnes"  # the walk's reward: weighted by "xnes" (Algorithm 1) or "fitness" alone (released)
     sample_actions: bool = True  # candidates and demonstrators act by samples of π_θ (True) or by its mean
-    eval_chunk: int = 50  # steps between checks whether all evaluated robots have finished
+    eval_chunk: int = 50  # steps after which evaluated robots that have finished make room for others
+    eval_turns: int = 1  # chunks between looks of the host whether anybody is left; their steps take memory
     eval_tile: int = 1000  # evaluated robots that a device simulates together; those that have finished are left out
 
     # VPPO
@@ -106,6 +107,7 @@ LAPTOP: dict[str, Any] = {
     "archive_learning_rate": 1.0,
     "sample_actions": False,
     "eval_chunk": 25,
+    "eval_turns": 4,
     "eval_tile": 24,
     "actor_hidden": (64, 64),
     "critic_hidden": (64, 64),
@@ -247,9 +249,9 @@ def _typed(kind: Any, text: str) -> Any:
 
 
 AT_LEAST_ONE = (
-    "iterations", "gradient_updates", "walk_updates", "candidates", "episodes", "cells", "eval_chunk", "eval_tile",
-    "num_envs", "window", "episode_length", "minibatches", "epochs", "demo_episodes", "reward_steps", "reward_batch",
-    "vail_latent", "giril_steps",
+    "iterations", "gradient_updates", "walk_updates", "candidates", "episodes", "cells", "eval_chunk", "eval_turns",
+    "eval_tile", "num_envs", "window", "episode_length", "minibatches", "epochs", "demo_episodes", "reward_steps",
+    "reward_batch", "vail_latent", "giril_steps",
 )  # fmt: skip
 POSITIVE = (
     "sigma0", "initial_std", "clip", "max_grad_norm", "learning_rate", "target_kl", "reward_learning_rate",
@@ -289,7 +291,8 @@ def _require(holds: bool, config: Config, name: str, rule: str) -> None:
         raise ConfigError(f"{name}={getattr(config, name)} {rule}.")
 
 
-SPEED_ALONE = ("eval_chunk", "eval_tile", "devices")  # settings that change how fast a run is, and not what it finds
+# Settings that change how fast a run is, and not what it finds.
+SPEED_ALONE = ("eval_chunk", "eval_turns", "eval_tile", "devices")
 
 
 def same_but_for_speed(one: dict[str, Any], other: dict[str, Any]) -> bool:

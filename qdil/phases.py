@@ -16,9 +16,9 @@ from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.robots import brax_robots
 from qdil.robots.environment import Environment
 from qdil.search import networks, vppo
-from qdil.search.evaluate import Episodes, Policies, episodes, paid_in
+from qdil.search.evaluate import Episodes, Paid, Policies, episodes, paid_in
 from qdil.search.normalise import init_obs_stats
-from qdil.search.rollout import Actors, split_each, start
+from qdil.search.rollout import Actors, split_each, start, where_each
 from qdil.types import ObsStats, Params, RewardContext, Transitions
 
 
@@ -62,7 +62,8 @@ def assemble(config: Config) -> Parts:
     env = brax_robots.make(config.env, config.backend)
     like = policy_like(config, env)
     c = config
-    scored = episodes(env, like, c.episodes, c.episode_length, c.eval_chunk, c.eval_tile, c.sample_actions)
+    turns = min(c.eval_turns, -(-c.episode_length // c.eval_chunk))
+    scored = episodes(env, like, c.episodes, c.episode_length, c.eval_chunk, turns, c.eval_tile, c.sample_actions)
     return Parts(config, env, vppo_settings(config), scored, like)
 
 
@@ -118,17 +119,25 @@ def pay(
     return carry, rewards + measure_bonus(transitions, context.occupied, bonus[0], bonus[1], scope)
 
 
+def begin_paying(model: RewardModel, reward: Any, num_episodes: int) -> Paid:
+    """Nothing paid yet, to any of that many episodes."""
+    return Paid(model.begin(reward, num_episodes), jnp.zeros(num_episodes))
+
+
 def pay_episodes(
-    model: RewardModel,
-    reward: Any,
-    carry: Any,
-    context: RewardContext,
-    transitions: Transitions,
-    counted: jax.Array,
-) -> tuple[Any, jax.Array]:
-    """The reward model's own reward alone (Algorithm 1, line 11), summed over a chunk's counted steps: (E,)."""
-    carry, rewards = model.reward(reward, carry, context, transitions)
-    return carry, paid_in(rewards, counted)
+    model: RewardModel, reward: Any, paid: Paid, context: RewardContext, transitions: Transitions, counted: jax.Array
+) -> Paid:
+    """The reward model's own reward alone (Algorithm 1, line 11), summed over the counted steps (C, T, E) of C chunks.
+
+    Of a robot that waited for its turn in a chunk the model remembers what it did before.
+    """
+
+    def chunk(paid: Paid, steps: tuple[Transitions, jax.Array]) -> tuple[Paid, None]:
+        transitions, counted = steps
+        carry, rewards = model.reward(reward, paid.carry, context, transitions)
+        return Paid(where_each(counted[0], carry, paid.carry), paid.fitness + paid_in(rewards, counted)), None
+
+    return jax.lax.scan(chunk, paid, (transitions, counted))[0]
 
 
 def unfork(learner: vppo.Learner, stats: ObsStats) -> tuple[vppo.Learner, jax.Array, jax.Array]:

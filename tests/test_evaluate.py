@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from probes import counter
 
+from qdil.imitation.reward_model import RewardModel
+from qdil.phases import begin_paying, pay_episodes
 from qdil.search import evaluate, networks
 from qdil.search.evaluate import Policies
 from qdil.search.rollout import start
+from qdil.types import RewardContext
 
 BOUND, LIMIT, CHUNK, EPISODES, CANDIDATES = 2.0, 10, 4, 3, 5
 LIKE = networks.init_policy(jax.random.key(0), 1, 1, (3,), 1e-6)
@@ -19,14 +22,15 @@ def fitness(steps):
     return (steps.obs[..., 0] - 0.5) / 2 + 3 * steps.action[..., 0] + steps.proxy[..., 1]
 
 
-def scored(env, policies, key, rewards=fitness, sample_actions=False, limit=LIMIT, chunk=CHUNK, tile=1000):
+def scored(env, policies, key, rewards=fitness, sample_actions=False, limit=LIMIT, chunk=CHUNK, turns=1, tile=1000):
     """Scores as arrays; a ``rewards`` that is called once for every chunk of steps that was simulated."""
 
-    def pay(carry, steps, counted):
-        return carry, evaluate.paid_in(rewards(steps), counted)
+    def pay(paid, steps, counted):
+        return paid._replace(fitness=paid.fitness + jnp.sum(jnp.where(counted, rewards(steps), 0.0), axis=(0, 1)))
 
-    pieces = evaluate.episodes(env, LIKE, key.shape[1], limit, chunk, tile, sample_actions)
-    scores = evaluate.run(evaluate.Episodes(*map(jax.jit, pieces)), pay, policies, (), key)
+    pieces = evaluate.episodes(env, LIKE, key.shape[1], limit, chunk, turns, tile, sample_actions)
+    nothing = evaluate.Paid((), jnp.zeros(key.size))
+    scores = evaluate.run(evaluate.Episodes(*map(jax.jit, pieces)), pay, policies, nothing, key)
     return jax.tree.map(np.asarray, scores)
 
 
@@ -68,9 +72,10 @@ def episode_by_hand(policies, i, position):
     return total, true, np.mean(proxies, axis=0), length
 
 
+@pytest.mark.parametrize("turns", [1, 2, 7])
 @pytest.mark.parametrize("tile", [1, 4, 5, 1000])
-def test_scores_equal_a_plain_loop_over_every_episode(policies, keys, tile):
-    scores = scored(counter(BOUND), policies, keys, tile=tile)
+def test_scores_equal_a_plain_loop_over_every_episode(policies, keys, tile, turns):
+    scores = scored(counter(BOUND), policies, keys, tile=tile, turns=turns)
     starts = np.asarray(start(counter(BOUND), keys.reshape(-1), 1).robot.physics).reshape(CANDIDATES, EPISODES)
     lengths = []
     for i in range(CANDIDATES):
@@ -139,13 +144,56 @@ def test_robots_that_have_finished_leave_their_tile_to_others():
     driven = []
 
     def watching(steps):
-        driven.append(int(np.any(np.asarray(steps.next_obs[..., 0]) != 0, axis=0).sum()))
+        driven.append(simulated(steps).sum())
         return steps.reward
 
     keys = jax.random.split(jax.random.key(0), (4, 1))
     scores = scored(counter(1.5), always([0.9, 0.9, 0.01, 0.9]), keys, watching, tile=2)
     assert np.argmax(scores.length) == 2 and scores.length[2] == LIMIT
     assert driven == [4, 2, 2]
+
+
+def simulated(steps):
+    """Which robots (E,) were driven at all: the data of the others stays zero."""
+    return np.any(np.asarray(steps.next_obs[..., 0]) != 0, axis=(0, 1))
+
+
+def test_robots_that_do_not_fill_a_tile_wait_and_go_first_next_time():
+    turns = []
+
+    def watching(steps):
+        turns.append(np.flatnonzero(simulated(steps)).tolist())
+        return steps.reward
+
+    keys = jax.random.split(jax.random.key(0), (4, 1))
+    scores = scored(counter(1.5), always([0.01, 0.9, 0.01, 0.01]), keys, watching, tile=2)
+    assert scores.length.tolist()[::2] == [LIMIT, LIMIT] and scores.length[3] == LIMIT and scores.length[1] < CHUNK
+    assert turns[:3] == [[0, 1, 2, 3], [0, 2], [0, 3]]
+    assert [sum(robot in turn for turn in turns) for robot in (0, 2, 3)] == [3, 3, 3]  # LIMIT steps, CHUNK at a time
+
+
+@pytest.mark.parametrize("turns", [1, 3])
+def test_a_reward_remembers_of_a_robot_that_waits_what_it_did_before(turns):
+    """Paid for step t is t, so an episode of L steps is worth 0 + 1 + … + (L - 1)."""
+
+    def reward(state, carry, context, transitions):
+        length = len(transitions.reward)
+        return carry + length, carry + jnp.arange(float(length))[:, None]
+
+    model = RewardModel(lambda *_: (), lambda _, count: jnp.zeros(count), reward, lambda *_: (), False)
+    pieces = evaluate.episodes(counter(1.5), LIKE, 1, LIMIT, CHUNK, turns, 2, False)
+    nobody = RewardContext(None, None)
+
+    def pay(paid, steps, counted):
+        return pay_episodes(model, (), paid, nobody, steps, counted)
+
+    policies, keys = always([0.01, 0.9, 0.01, 0.2, 0.01, 0.1]), jax.random.split(jax.random.key(0), (6, 1))
+    scores = evaluate.run(
+        evaluate.Episodes(*map(jax.jit, pieces)), jax.jit(pay), policies, begin_paying(model, (), 6), keys
+    )
+    length = np.asarray(scores.length)
+    assert len(set(length)) >= 3
+    np.testing.assert_allclose(scores.fitness, length * (length - 1) / 2)
 
 
 def test_sampled_actions_have_the_policys_mean_and_spread():

@@ -5,7 +5,7 @@ Cut into pieces that a shell compiles one by one, so that the simulation is comp
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,13 @@ class Tally(NamedTuple):
     length: jax.Array  # (E,)
 
 
+class Paid(NamedTuple):
+    """What a reward model has given so far, axis (E) in front."""
+
+    carry: Any  # what it remembers within episodes
+    fitness: jax.Array  # (E,) sum of its rewards
+
+
 class Episodes(NamedTuple):
     """The pieces of an evaluation; all but ``run``'s loop is pure."""
 
@@ -53,22 +60,20 @@ class Episodes(NamedTuple):
     finish: Callable[[Tally, jax.Array], Scores]  # and the fitness (E,) of every episode
 
 
-Pay = Callable[[object, Transitions, jax.Array], tuple[object, jax.Array]]
+Pay = Callable[[Paid, Transitions, jax.Array], Paid]
 
 
-def run(episodes: Episodes, pay: Pay, policies: Policies, carry: object, key: jax.Array) -> Scores:
+def run(episodes: Episodes, pay: Pay, policies: Policies, paid: Paid, key: jax.Array) -> Scores:
     """Roll out every one of λ ``policies`` for key.shape[1] whole episodes; ``key`` (λ, n) is one per episode.
 
-    ``pay(carry, transitions, counted) -> (carry, (E,))`` sums the fitness of a chunk's ``counted`` steps (T, E).
+    ``pay(paid, transitions, counted)`` adds to what is ``paid`` the rewards of the ``counted`` steps (C, T, E) of C
+    chunks. A robot that waited for its turn has no step in a chunk that counts.
     """
     actors, tally = episodes.begin(key)
-    fitness: jax.Array | None = None
     while to_host(tally.alive).any():
         actors, tally, transitions, counted = episodes.advance(policies, actors, tally)
-        carry, paid = pay(carry, transitions, counted)
-        fitness = paid if fitness is None else fitness + paid
-    assert fitness is not None  # every robot begins alive
-    return episodes.finish(tally, fitness)
+        paid = pay(paid, transitions, counted)
+    return episodes.finish(tally, paid.fitness)
 
 
 def paid_in(rewards: jax.Array, counted: jax.Array) -> jax.Array:
@@ -82,14 +87,15 @@ def episodes(
     num_episodes: int,
     episode_length: int,
     chunk: int,
+    turns: int,
     tile: int,
     sample_actions: bool,
 ) -> Episodes:
-    """Whole episodes, ``num_episodes`` of each policy, simulated ``chunk`` steps at a time.
+    """Whole episodes, ``num_episodes`` of each policy, simulated ``turns`` chunks of ``chunk`` steps at a time.
 
     Each policy acts under its own observation statistics. ``sample_actions`` draws a ~ π_θ; otherwise the policy's
-    mean acts. Of a device's robots those still going are simulated, at most ``tile`` together; one that has finished
-    is frozen, counts no more and, once all the others fit into fewer tiles, costs no more.
+    mean acts. Of a device's robots those still going are simulated, at most ``tile`` together. Those that do not fill a
+    tile wait for the next turn, so that none but the last few robots ever share theirs with any that have finished.
     """
 
     def begin(key: jax.Array) -> tuple[Actors, Tally]:
@@ -111,7 +117,7 @@ def episodes(
 
         def step(carry, _):
             (robot, steps, limit, proxy_sum, key), alive, finite = carry
-            key, act_key = split_each(key)
+            key, act_key = split_each(key) if sample_actions else (key, key)
             action = jax.vmap(act)(params, policies.obs_mean, policies.obs_std, act_key, robot.obs)
             after, outcome = jax.vmap(env.step)(robot, action)
             steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
@@ -127,24 +133,29 @@ def episodes(
 
         return jax.lax.scan(step, (actors, alive, finite), None, chunk)
 
-    def advance(policies: Policies, actors: Actors, tally: Tally):
-        count = len(tally.alive)
+    def turn(policies: Policies, actors: Actors, tally: Tally):
+        """A chunk of steps of all whole tiles of robots that are still going, or of the last few."""
+        count, going = len(tally.alive), jnp.sum(tally.alive)
         together = max(size for size in range(1, min(tile, count) + 1) if count % size == 0)
-        order = jnp.argsort(~tally.alive, stable=True)  # those still going first
-        everyones = jax.tree.map(lambda leaf: jnp.repeat(leaf, num_episodes, axis=0), policies)
+        # Those still going first, and of them who has lived least: who waited last time is not left behind.
+        order = jnp.argsort(jnp.where(tally.alive, tally.length, jnp.inf), stable=True)
         begun = (actors, tally.alive, tally.finite)
+
+        def some(rows: jax.Array, now: Any) -> Any:
+            """A chunk of steps of the robots ``rows``, each with its own candidate's policy."""
+            mine = jax.tree.map(lambda leaf: leaf[rows // num_episodes], policies)
+            return drive(mine, *jax.tree.map(lambda leaf: leaf[rows], now))
 
         def one_tile(i, carry):
             now, seen = carry
             rows = jax.lax.dynamic_slice_in_dim(order, i * together, together)
-            mine, theirs = jax.tree.map(lambda leaf: leaf[rows], (everyones, now))
-            after, steps = drive(mine, *theirs)
+            after, steps = some(rows, now)
             now = jax.tree.map(lambda all_, some: all_.at[rows].set(some), now, after)
             return now, jax.tree.map(lambda all_, some: all_.at[:, rows].set(some), seen, steps)
 
-        shapes = jax.eval_shape(lambda: drive(everyones, *begun)[1])
+        shapes = jax.eval_shape(lambda: some(order, begun)[1])
         unseen = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-        tiles = (jnp.sum(tally.alive) + together - 1) // together
+        tiles = jnp.maximum(going // together, jnp.minimum(going, 1))
         (actors, alive, finite), (transitions, counted) = jax.lax.fori_loop(0, tiles, one_tile, (begun, unseen))
         tally = Tally(
             alive,
@@ -153,7 +164,12 @@ def episodes(
             tally.proxy_sum + jnp.sum(jnp.where(counted[..., None], transitions.proxy, 0.0), axis=0),
             tally.length + jnp.sum(counted, axis=0),
         )
-        return actors, tally, transitions, counted
+        return (actors, tally), (transitions, counted)
+
+    def advance(policies: Policies, actors: Actors, tally: Tally):
+        begun = (actors, tally)
+        (actors, tally), seen = jax.lax.scan(lambda now, _: turn(policies, *now), begun, None, turns)
+        return actors, tally, *seen
 
     def finish(tally: Tally, fitness: jax.Array) -> Scores:
         def mean(x: jax.Array) -> jax.Array:

@@ -152,8 +152,8 @@ def loss(
 
 def _across(x: jax.Array, tied: jax.Array) -> jax.Array:
     """Mean of (K, …) over the devices, and over the copies too where they are tied."""
-    x = jax.lax.pmean(x, AXIS)
-    return jnp.where(tied, sum(x) / len(x), x)  # a sum of rows: XLA's reduction over so few is slow on a CPU
+    # A sum of rows: XLA's reduction over so few is slow on a CPU.
+    return jax.lax.pmean(jnp.where(tied, sum(x) / len(x), x), AXIS)
 
 
 def _judge(

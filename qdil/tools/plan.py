@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from qdil.compiled import Compiled, compile_run
 from qdil.config import Config, to_json
@@ -94,7 +95,7 @@ def _calibrated(config: Config, compiled: Compiled) -> Speed:
     return Speed(
         start_seconds,
         CALIBRATION_UPDATES * config.window * config.num_envs / seconds,
-        config.candidates * config.episodes * config.eval_chunk / _evaluate(config, compiled, state),
+        _evaluate(config, compiled, state),
         _learn(config, compiled, trained, demos),
     )
 
@@ -133,14 +134,14 @@ def _learn(config: Config, compiled: Compiled, trained: Trained, demos: Demonstr
 
 
 def _evaluate(config: Config, compiled: Compiled, state: State) -> float:
-    """Seconds of one chunk of candidates' steps."""
+    """Steps per second of candidates; of robots that fall, whose episodes are short yet, to the end of the chunk."""
     coefficients = jnp.zeros((config.candidates, compiled.parts.streams))
     policies, _ = compiled.branch(state, jnp.zeros((compiled.parts.streams, 1)), coefficients)
     keys = compiled.place(jax.random.split(jax.random.key(0), (config.candidates, config.episodes)))
     actors, tally = compiled.episodes.begin(keys)
     began = time.monotonic()
-    jax.block_until_ready(compiled.episodes.advance(policies, actors, tally)[1].length)
-    return time.monotonic() - began
+    length = np.asarray(compiled.episodes.advance(policies, actors, tally)[1].length)
+    return float(np.sum(np.ceil(length / config.eval_chunk))) * config.eval_chunk / (time.monotonic() - began)
 
 
 def report(config: Config, planned: Plan) -> str:
