@@ -9,20 +9,16 @@ from qdil._startup import cores
 Options = dict[str, Any] | None  # for ``jax.jit(…, compiler_options=…)``
 
 
-def for_physics(num_devices: int) -> Options:
-    """For programs that move robots: a step is hundreds of tiny operations.
-
-    XLA's older code generator is half as fast again at them as its present one, and its library of kernels does not pay
-    at this size (docs/performance.md). Numbers differ by rounding.
-    """
+def for_speed(num_devices: int) -> Options:
+    """Each device on its own core, where no core is without one: no operation is split, and none beside another."""
+    if num_devices < cores() * jax.process_count():
+        return None  # a core without a device can help the others
     return _on_cpu(
-        {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""} | _threads(num_devices)
+        {
+            "xla_disable_hlo_passes": "cpu-parallel-task-assigner",
+            "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+        }
     )
-
-
-def for_learning(num_devices: int) -> Options:
-    """For programs that are mostly matrix products."""
-    return _on_cpu(_threads(num_devices))
 
 
 def in_haste() -> Options:
@@ -30,15 +26,5 @@ def in_haste() -> Options:
     return _on_cpu({"xla_backend_optimization_level": 0})
 
 
-def _threads(num_devices: int) -> dict[str, Any]:
-    """Each device on its own core, where no core is without one: no operation is split, and none beside another."""
-    if num_devices < cores() * jax.process_count():
-        return {}  # a core without a device can help the others
-    return {
-        "xla_disable_hlo_passes": "cpu-parallel-task-assigner",
-        "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
-    }
-
-
 def _on_cpu(options: dict[str, Any]) -> Options:
-    return options if options and jax.default_backend() == "cpu" else None
+    return options if jax.default_backend() == "cpu" else None

@@ -108,7 +108,7 @@ LAPTOP: dict[str, Any] = {
     "sample_actions": False,
     "eval_chunk": 25,
     "eval_turns": 4,
-    "eval_tile": 24,
+    "eval_tile": 48,
     "actor_hidden": (64, 64),
     "critic_hidden": (64, 64),
     "num_envs": 192,

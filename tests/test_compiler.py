@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from qdil._startup import cores
-from qdil.compiler import for_learning, for_physics
+from qdil.compiler import for_speed
 from qdil.robots import brax_robots
 
 
@@ -24,17 +24,16 @@ def test_how_physics_is_compiled_changes_rounding_alone(devices):
         return jax.lax.scan(step, robots, actions)[1]
 
     as_usual = jax.jit(drive)(robots, actions)
-    tuned = jax.jit(drive, compiler_options=for_physics(devices))(robots, actions)
+    tuned = jax.jit(drive, compiler_options=for_speed(devices))(robots, actions)
     assert jnp.isfinite(as_usual[0]).all()
     for one, other in zip(as_usual, tuned, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.skipif(cores() < 2, reason="one core has no threads to spread over")
-@pytest.mark.parametrize("options", [for_physics, for_learning])
-def test_a_big_operation_is_spread_over_cores_only_while_some_have_no_device(options):
+def test_a_big_operation_is_spread_over_cores_only_while_some_have_no_device():
     def spread(devices: int) -> bool:
-        program = jax.jit(jnp.tanh, compiler_options=options(devices))
+        program = jax.jit(jnp.tanh, compiler_options=for_speed(devices))
         return "outer_dimension_partitions" in program.lower(jnp.ones((512, 512))).compile().as_text()
 
     assert spread(cores() - 1)

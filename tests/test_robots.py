@@ -4,8 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from qdil.robots import brax_robots
 from qdil.robots.environment import Environment, RobotState
@@ -29,40 +27,36 @@ def test_the_other_backends_step_and_feel_the_ground(backend):
     assert set(np.unique(proxies)) <= {0.0, 1.0} and proxies.max() == 1.0
 
 
-@given(st.data())
-def test_sums_over_links_are_numpys(data):
-    links = np.array(data.draw(st.lists(st.integers(-1, 4), min_size=1, max_size=12)))
-    rows = (
-        np.random.default_rng(0).normal(size=(len(links), *data.draw(st.sampled_from([(), (3,)])))).astype(np.float32)
-    )
-    expected = np.zeros((5, *rows.shape[1:]), np.float32)
-    for row, link in zip(rows, links, strict=True):
-        if link >= 0:
-            expected[link] += row
-    np.testing.assert_allclose(brax_robots.sum_by_link(jnp.asarray(rows), links, 5), expected, rtol=1e-5, atol=1e-6)
-
-
-def test_sums_over_links_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match="3 rows, but 2 links"):
-        brax_robots.sum_by_link(jnp.zeros((3, 2)), np.array([0, 1]), 2)
-
-
-def test_a_robot_moves_as_braxs_own_does():
-    """The same start and actions, feet on the ground, in our environment and in Brax's as it comes."""
+def test_robots_move_as_braxs_own_do(robot):
+    """Steps from the same states, by the same actions, of many of our robots and of Brax's as they come."""
     from brax import envs
 
-    env, plain = brax_robots.make("walker2d"), envs.get_environment("walker2d", backend="spring")
-    key = jax.random.key(4)
-    mine, theirs = jax.jit(env.reset)(key), jax.jit(plain.reset)(key)
+    plain = envs.get_environment(robot.name, backend="spring")
+    keys = jax.random.split(jax.random.key(4), 6)
+    mine, theirs = jax.jit(jax.vmap(robot.reset))(keys), jax.jit(jax.vmap(plain.reset))(keys)
     np.testing.assert_array_equal(mine.obs, theirs.obs)
-    step, plain_step = jax.jit(env.step), jax.jit(plain.step)
+    step, plain_step = jax.jit(jax.vmap(robot.step)), jax.jit(jax.vmap(plain.step))
     touched = False
-    for action in np.random.default_rng(0).uniform(-1, 1, (25, env.action_size)):
-        (mine, outcome), theirs = step(mine, jnp.asarray(action)), plain_step(theirs, jnp.asarray(action))
+    for action in np.random.default_rng(0).uniform(-1, 1, (25, 6, robot.action_size)).astype(np.float32):
+        before = RobotState(theirs.pipeline_state, theirs.obs, mine.proxy)
+        (mine, outcome), theirs = step(before, action), plain_step(theirs, action)
         touched |= bool(mine.proxy.any())
         np.testing.assert_allclose(mine.obs, theirs.obs, rtol=1e-3, atol=1e-3)
         np.testing.assert_allclose(outcome.reward, theirs.reward, rtol=1e-3, atol=1e-3)
+        for ours, whole in zip(jax.tree.leaves(mine.physics), jax.tree.leaves(theirs.pipeline_state), strict=True):
+            np.testing.assert_allclose(ours, whole, rtol=1e-3, atol=1e-3)
     assert touched
+
+
+def test_one_robot_moves_as_many_do(robot):
+    """A step under ``jax.vmap`` is simulated in another order; one shared action is every robot's."""
+    states = jax.jit(jax.vmap(robot.reset))(jax.random.split(jax.random.key(4), 3))
+    action = jnp.full(robot.action_size, 0.3)
+    many = jax.jit(jax.vmap(robot.step, in_axes=(0, None)))(states, action)
+    for i in range(3):
+        one = jax.jit(robot.step)(jax.tree.map(lambda leaf, i=i: leaf[i], states), action)
+        for alone, among in zip(jax.tree.leaves(one), jax.tree.leaves(many), strict=True):
+            np.testing.assert_allclose(alone, among[i], rtol=1e-3, atol=1e-3)
 
 
 def lifted(env: Environment, height: float) -> RobotState:

@@ -1,7 +1,6 @@
 """The door to Brax: halfcheetah, walker2d and humanoid with foot contacts; nothing else imports Brax's physics."""
 
 import io
-import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -10,18 +9,21 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jax.custom_batching import custom_vmap
 from jax.extend.core import jaxpr_as_fun
 
 from qdil.finite import is_smaller
 from qdil.robots.environment import Environment, Outcome, RobotState
+from qdil.robots.robots_last import robots_last
 
 DIVERGED = 1e6  # an observation or reward this large is no robot's: physics about to become infinite
-_TRACING = threading.RLock()  # threads that trace two robots at once must not meet each other's links
 BACKENDS = ("spring", "positional", "generalized", "mjx")
 # How far from the ground a foot may be and touch it, in metres. The positional backend moves what has sunk into the
 # ground out of it before a step ends: there feet rest a hair above, 0.05 mm on walker2d.
 TOUCHES = {"positional": 1e-3}
+
+
+Step = Callable[[RobotState, jax.Array], tuple[RobotState, Outcome]]
 
 
 class Robot(NamedTuple):
@@ -92,35 +94,6 @@ def _constants_on_this_host() -> Iterator[None]:
         mjx.put_model = whole
 
 
-def sum_by_link(rows: jax.Array, links: np.ndarray, num_links: int) -> jax.Array:
-    """``jax.ops.segment_sum`` of rows (n, …) for ``links`` (n,) that are known beforehand; those below 0 are left out.
-
-    Written out as additions: on a CPU, XLA makes a loop over single rows of a scatter. Raises ValueError where there
-    is not one link per row.
-    """
-    if len(rows) != len(links):
-        raise ValueError(f"{len(rows)} rows, but {len(links)} links are known.")
-    of_each = [[rows[i] for i in np.flatnonzero(links == link)] for link in range(num_links)]
-    return jnp.stack([sum(some[1:], some[0]) if some else jnp.zeros_like(rows[0]) for some in of_each])
-
-
-@contextmanager
-def _sums_written_out(links: dict[str, np.ndarray]) -> Iterator[None]:
-    """Brax's spring backend, while it is traced, with ``sum_by_link`` for the ``links`` of each of its modules."""
-    from brax.spring import collisions, joints
-
-    modules: list[Any] = [joints, collisions]
-    with _TRACING:
-        before = [module.segment_sum for module in modules]
-        for module, known in zip(modules, (links["parent"], links["contact"]), strict=True):
-            module.segment_sum = lambda rows, _, num_links, known=known: sum_by_link(rows, known, num_links)
-        try:
-            yield
-        finally:
-            for module, whole in zip(modules, before, strict=True):
-                module.segment_sum = whole
-
-
 def _traced_once(function: Callable[..., Any], *like: Any) -> tuple[Callable[..., Any], Any]:
     """``function`` as a replay of one trace, for arguments like these, and what it returns, as shapes.
 
@@ -136,17 +109,19 @@ def _traced_once(function: Callable[..., Any], *like: Any) -> tuple[Callable[...
 
 
 @cache
-def make(name: str, backend: str = "spring") -> Environment:
+def make(name: str, backend: str = "spring", as_brax: bool = False) -> Environment:
     """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
 
     The proxy δ(s) ∈ {0,1}^k is 1 where any collision shape of a foot's link touches the ground
     (contact distance ≤ 0, or ``TOUCHES``), computed from the same contacts the simulator resolves. Actions are
     clipped to [-1, 1] before they reach the robot, so that its control cost counts what was applied.
+
+    On the spring backend a ``jax.vmap`` of the step simulates its robots as ``robots_last`` lays them; ``as_brax``
+    leaves it as Brax and JAX have it, to compare with.
     """
     _check(name, backend)
     with _quiet():
         from brax import contact, envs
-        from brax.base import Transform
         from brax.envs.base import State
 
         with _constants_on_this_host():
@@ -163,29 +138,40 @@ def make(name: str, backend: str = "spring") -> Environment:
             state = env.reset(key)
             return RobotState(state.pipeline_state, state.obs, proxy(state.pipeline_state)), state.metrics
 
-        def links_in_contact() -> jax.Array:
-            nowhere = Transform.zero((env.sys.num_links(),))
-            return jnp.concatenate(contact.get(env.sys, nowhere).link_idx)
+        def move(state: RobotState, action: jax.Array) -> tuple[RobotState, Outcome]:
+            zero = jnp.zeros(())
+            before = State(state.physics, state.obs, zero, zero, dict.fromkeys(metrics, zero))
+            after = env.step(before, jnp.clip(action, -1.0, 1.0))
+            # A diverged robot ends its episode there; its last sound observation stands in for the lost one.
+            finite = jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED)
+            obs = jnp.where(finite, after.obs, state.obs)
+            outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
+            return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome
 
         begin, (start, metrics) = _traced_once(begin, jax.random.key(0))  # the collision code is imported here
+        acting = jax.ShapeDtypeStruct((int(env.action_size),), jnp.float32)
+        step, _ = _traced_once(move, start, acting)
 
-        links = {"parent": np.array(env.sys.link_parents), "contact": np.asarray(jax.jit(links_in_contact)())}
+    if backend == "spring" and not as_brax:
+        step = _together(step, start, acting)
 
     def reset(key: jax.Array) -> RobotState:
         return begin(key)[0]
-
-    def step(state: RobotState, action: jax.Array) -> tuple[RobotState, Outcome]:
-        zero = jnp.zeros(())
-        before = State(state.physics, state.obs, zero, zero, dict.fromkeys(metrics, zero))
-        with _sums_written_out(links):
-            after = env.step(before, jnp.clip(action, -1.0, 1.0))
-        # A diverged robot ends its episode there; its last sound observation stands in for the lost one.
-        finite = jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED)
-        obs = jnp.where(finite, after.obs, state.obs)
-        outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
-        return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome
 
     # ``inline`` leaves no mark in the programs that these become part of.
     reset, step = jax.jit(reset, inline=True), jax.jit(step, inline=True)
     obs_size = start.obs.shape[-1]  # the property of Brax traces a reset to find out
     return Environment(name, backend, obs_size, int(env.action_size), ROBOTS[name].feet, float(env.dt), reset, step)
+
+
+def _together(step: Step, *like: Any) -> Step:
+    """``step``, with ``robots_last`` in place of what ``jax.vmap`` would make of it."""
+    one, many = custom_vmap(step), robots_last(step, *like)
+
+    @one.def_vmap
+    def all_of_them(count: int, own: Any, *args: Any) -> tuple[Any, Any]:
+        each = jax.tree.map(lambda x, mine: x if mine else jnp.broadcast_to(x, (count, *x.shape)), list(args), own)
+        results = many(*each)
+        return results, jax.tree.map(lambda _: True, results)
+
+    return one

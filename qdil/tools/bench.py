@@ -22,7 +22,7 @@ import numpy as np
 from jax.sharding import PartitionSpec as P
 
 from qdil import ppga
-from qdil.compiler import Options, for_physics
+from qdil.compiler import for_speed
 from qdil.config import Config, make_config
 from qdil.imitation.reward_model import Demonstrations
 from qdil.search import archive
@@ -72,8 +72,8 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     row: Row = {}
     true = _begun(env, "true", budget)
     devices = true.compiled.num_devices
-    bare = _bare_simulator(true.config, devices)
-    tuned = _bare_simulator(true.config, devices, for_physics(devices))
+    bare = _bare_simulator(true.config, devices, as_brax=True)
+    tuned = _bare_simulator(true.config, devices)
     ratios = _in_turns(
         {
             "simulator": bare,
@@ -103,7 +103,7 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     if jax.local_device_count() > 1:
         alone = _begun(env, "true", budget, like=true, devices=1)
         one, together = _iterations_of(alone), _iterations_of(true)
-        bare_one = _bare_simulator(alone.config, 1, for_physics(1))
+        bare_one = _bare_simulator(alone.config, 1)
         row["simulator_device_speedup"] = _against(_in_turns({"one": bare_one, "all": tuned}, rounds), "one")[1]["all"]
         row["device_speedup"] = _against(_in_turns({"one": one, "all": together}, rounds), "one")[1]["all"]
         if hasattr(os, "sched_setaffinity"):
@@ -127,7 +127,7 @@ def full_networks(env: str, rounds: int = ROUNDS) -> Row:
     matrix = jnp.ones((size, size))
     product = jax.jit(lambda x: x @ x)
     devices = search.compiled.num_devices
-    bare = _bare_simulator(config, devices, for_physics(devices))
+    bare = _bare_simulator(config, devices)
     turns = _in_turns(
         {"simulator": bare, "vppo": partial(_updates, search), "product": lambda: _timed(product, matrix, rate)}, rounds
     )
@@ -223,14 +223,14 @@ def _timed(function: Any, argument: Any, amount: float) -> tuple[float, float]:
     return amount, time.monotonic() - began
 
 
-def _bare_simulator(config: Config, num_devices: int, compiler_options: Options = None) -> Turn:
+def _bare_simulator(config: Config, num_devices: int, as_brax: bool = False) -> Turn:
     """Windows of random actions, resets and contacts included, on the run's own layout of robots over devices.
 
-    Compiled as JAX compiles by itself, or with a run's own ``compiler_options``.
+    Simulated and compiled as a run's windows are; or ``as_brax``, as Brax and JAX do it by themselves.
     """
     from qdil.robots import brax_robots
 
-    env = brax_robots.make(config.env, config.backend)
+    env = brax_robots.make(config.env, config.backend, as_brax)
 
     def act(key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
         one = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1.0, maxval=1.0))
@@ -242,7 +242,7 @@ def _bare_simulator(config: Config, num_devices: int, compiler_options: Options 
 
     mesh = make_mesh(num_devices)
     over_devices = jax.shard_map(drive, mesh=mesh, in_specs=P(AXIS), out_specs=(P(AXIS), P(AXIS)), check_vma=False)
-    run = jax.jit(over_devices, compiler_options=compiler_options)
+    run = jax.jit(over_devices, compiler_options=None if as_brax else for_speed(num_devices))
     keys = jax.random.split(jax.random.key(0), config.num_envs)
     now = [run(jax.jit(lambda k: start(env, k, config.episode_length, in_step=False))(keys))[0]]
     windows = config.gradient_updates + config.walk_updates
