@@ -73,7 +73,7 @@ def test_rollouts_agree_with_the_evaluation_that_fills_archives(folder):
     settings = make_config("walker2d", "true", "smoke", 1)
     env = brax_robots.make("walker2d")
     like = policy_like(settings.__class__(**{**settings.__dict__, "actor_hidden": (8, 8)}), env)
-    pieces = evaluate.episodes(env, like, 1, config["episode_length"], 60, len(CELLS), sample_actions=False)
+    pieces = evaluate.episodes(env, like, 1, config["episode_length"], 60, 1, len(CELLS), sample_actions=False)
     actors, tally = pieces.begin(jax.random.split(jax.random.key(0), (len(CELLS), 1)))
     begin = jax.vmap(env.reset)(jax.numpy.broadcast_to(jax.random.key(0), (len(CELLS),)))
     _, tally, *_ = jax.jit(pieces.advance)(policies, actors._replace(robot=begin), tally)
