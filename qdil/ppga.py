@@ -55,7 +55,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     streams = compiled.parts.streams
 
     # Gradients (lines 4-5): copy i of θ_μ is trained on reward stream i alone.
-    forked = compiled.train(state, occupied, np.eye(streams, dtype=np.float32), False, config.gradient_updates, config.epochs)
+    forked = compiled.train(state, occupied, np.eye(streams), False, config.gradient_updates, config.epochs)
     state = _after_gradients(state, forked.state)
 
     # Branching (lines 6-11): candidates along sampled combinations of the gradients, each over whole episodes.
@@ -74,7 +74,7 @@ def iteration(search: Search) -> tuple[Search, dict[str, float]]:
     c_mu = np.array(xnes.mean, np.float32)
     c_mu[0] = np.abs(c_mu[0])
     if archives.soft.empty or config.walk_weights == "fitness":
-        c_mu = np.eye(streams, dtype=np.float32)[0]  # nothing passed threshold_min yet, so xNES has nothing to say; or asked for
+        c_mu = np.eye(streams)[0]  # nothing passed threshold_min yet, so xNES has nothing to say; or asked for
     walked = compiled.train(state, occupied, _tied(c_mu), True, config.walk_updates, config.epochs)
     state = walked.state
 
@@ -118,7 +118,7 @@ def warm_up(search: Search, updates: int) -> tuple[Search, int, dict[str, float]
     """
     config, compiled, demos, state = search.config, search.compiled, search.demos, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
-    weights = _tied(np.eye(compiled.parts.streams, dtype=np.float32)[0])
+    weights = _tied(np.eye(compiled.parts.streams)[0])
     now = min(config.walk_updates, updates)
     trained = compiled.train(state, occupied, weights, True, now, config.epochs)
     state, rolled_back = trained.state, trained.info["rolled_back"]
