@@ -121,7 +121,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     shard = partial(_sharded, mesh)
     window, chunks = P(None, AXIS), P(None, None, AXIS)  # (T, E), (C, T, E)
     all_, each = P(), P(AXIS)
-    pieces, fast = parts.episodes, compiler.for_speed(num_devices)
+    pieces, physics = parts.episodes, compiler.on_one_core()
 
     def learn(key: jax.Array, update: jax.Array, *args: Any) -> Any:
         return vppo.learn(parts.settings, jax.random.fold_in(key, update), *args)
@@ -136,20 +136,20 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
             partial(vppo.collect, parts.env, parts.settings),
             (all_, all_, each),
             (each, window, window),
-            compiler_options=fast,
+            compiler_options=physics,
         ),
         learn=shard(
             learn,
             (all_, all_, all_, all_, window, window, window, all_, all_, all_),
             all_,
-            compiler_options=fast,
+            compiler_options=compiler.for_learning(num_devices),
         ),
         unfork=jax.jit(phases.unfork, out_shardings=whole),
         give_up=jax.jit(partial(phases.give_up, copies=parts.streams), out_shardings=(split, whole)),
         branch=jax.jit(phases.branch, out_shardings=(split, whole)),
         episodes=Episodes(
             shard(pieces.begin, (each,), each, compiler_options=compiler.in_haste()),
-            shard(pieces.advance, (each, each, each), (each, each, chunks, chunks), compiler_options=fast),
+            shard(pieces.advance, (each, each, each), (each, each, chunks, chunks), compiler_options=physics),
             shard(pieces.finish, (each, each), each),
         ),
         jump=jax.jit(partial(phases.jump, parts), out_shardings=whole),

@@ -9,10 +9,16 @@ from qdil._startup import cores
 Options = dict[str, Any] | None  # for ``jax.jit(…, compiler_options=…)``
 
 
-def for_speed(num_devices: int) -> Options:
-    """Each device on its own core, where no core is without one: no operation is split, and none beside another."""
-    if num_devices < cores() * jax.process_count():
-        return None  # a core without a device can help the others
+def for_learning(num_devices: int) -> Options:
+    """Each device on its own core, where no core is without one; otherwise those without help with large products."""
+    return None if num_devices < cores() * jax.process_count() else on_one_core()
+
+
+def on_one_core() -> Options:
+    """No operation is split, and none runs beside another: right for physics, whose operations are hundreds and short.
+
+    Two cores for one device took longer over most, by a tenth, and by a half where a machine was slow to wake threads.
+    """
     return _on_cpu(
         {
             "xla_disable_hlo_passes": "cpu-parallel-task-assigner",

@@ -1,4 +1,6 @@
-"""What XLA is told changes rounding alone, and keeps a device on its core where every core has one."""
+"""What XLA is told changes rounding alone; it keeps physics on one core, and learning where every core has a device."""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -6,12 +8,14 @@ import numpy as np
 import pytest
 
 from qdil._startup import cores
-from qdil.compiler import for_speed
+from qdil.compiled import search_programs
+from qdil.compiler import for_learning, on_one_core
+from qdil.config import make_config
 from qdil.robots import brax_robots
+from qdil.search import vppo
 
 
-@pytest.mark.parametrize("devices", [0, cores()])
-def test_how_physics_is_compiled_changes_rounding_alone(devices):
+def test_how_physics_is_compiled_changes_rounding_alone():
     env = brax_robots.make("walker2d", "spring")
     robots = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 4))
     actions = jax.random.uniform(jax.random.key(1), (5, 4, env.action_size), minval=-1.0, maxval=1.0)
@@ -24,17 +28,35 @@ def test_how_physics_is_compiled_changes_rounding_alone(devices):
         return jax.lax.scan(step, robots, actions)[1]
 
     as_usual = jax.jit(drive)(robots, actions)
-    tuned = jax.jit(drive, compiler_options=for_speed(devices))(robots, actions)
+    tuned = jax.jit(drive, compiler_options=on_one_core())(robots, actions)
     assert jnp.isfinite(as_usual[0]).all()
     for one, other in zip(as_usual, tuned, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.skipif(cores() < 2, reason="one core has no threads to spread over")
-def test_a_big_operation_is_spread_over_cores_only_while_some_have_no_device():
-    def spread(devices: int) -> bool:
-        program = jax.jit(jnp.tanh, compiler_options=for_speed(devices))
-        return "outer_dimension_partitions" in program.lower(jnp.ones((512, 512))).compile().as_text()
+def is_spread(program: str) -> bool:
+    """Whether an operation of this compiled program is divided among threads."""
+    return '"outer_dimension_partitions":["' in program
 
-    assert spread(cores() - 1)
-    assert not spread(cores())
+
+@pytest.mark.skipif(cores() < 2, reason="one core has no threads to spread over")
+def test_learning_is_spread_over_cores_only_while_some_have_no_device():
+    def compiled(devices: int) -> str:
+        program = jax.jit(jnp.tanh, compiler_options=for_learning(devices))
+        return program.lower(jnp.ones((512, 512))).compile().as_text()
+
+    assert is_spread(compiled(cores() - 1))
+    assert not is_spread(compiled(cores()))
+
+
+@pytest.mark.skipif(cores() < 2, reason="one core has no threads to spread over")
+def test_physics_stays_on_one_core_though_another_is_idle():
+    """Of one device and enough robots that XLA would spread their windows, if it were not told."""
+    config = make_config("walker2d", "true", "smoke", devices=1, num_envs=1536, window=2)
+    programs = search_programs(config, 1)
+    learner, stats, actors = jax.eval_shape(programs.init, jax.random.key(0))
+    learner = jax.eval_shape(programs.fork, learner)
+    window = programs.collect.lower(learner, stats, actors).compile().as_text()
+    unsaid = jax.jit(partial(vppo.collect, programs.parts.env, programs.parts.settings))
+    assert is_spread(unsaid.lower(learner, stats, actors).compile().as_text())
+    assert not is_spread(window)

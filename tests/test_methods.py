@@ -19,9 +19,8 @@ def demos() -> Demonstrations:
     """An episode or more of random actions."""
     env = brax_robots.make("walker2d")
 
-    def act(key, obs):
-        one = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1.0, maxval=1.0))
-        return one(key), jnp.zeros(len(key))
+    def act(noise, obs):
+        return jnp.clip(noise, -1.0, 1.0), jnp.zeros(len(noise))
 
     keys = jax.random.split(jax.random.key(0), 2)
     _, steps, _ = jax.jit(lambda k: window(env, act, start(env, k, 50), 60, 50))(keys)

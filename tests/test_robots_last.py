@@ -83,6 +83,26 @@ def test_products_are_numpys(how, data):
         np.testing.assert_allclose(one, np.einsum(how, x, shared), rtol=1e-5, atol=1e-5)
 
 
+@given(st.lists(st.integers(-4, 3), min_size=1, max_size=6), st.integers(0, 1))
+def test_rows_are_taken_as_numpy_takes_them(at, axis):
+    """From either end, some of them twice or not at all, along either axis."""
+    rows = drawn(*((4, 3) if axis == 0 else (3, 4)))
+    agree(lambda x: jnp.take(x, jnp.array(at), axis=axis), rows)
+    agree(lambda x: x[jnp.array(at)] if axis == 0 else x[:, jnp.array(at)], rows)
+    found = robots_last(lambda x: jnp.take(x, jnp.array(at), axis=axis), rows[0])(rows)
+    np.testing.assert_array_equal(found, np.take(rows, at, axis=1 + axis))
+
+
+def test_rows_in_another_order_are_not_looked_up():
+    def operations(at):
+        many = robots_last(lambda x: jnp.take(x, jnp.array(at), axis=0, mode="wrap"), jnp.zeros((4, 3)))
+        return {eqn.primitive.name for eqn in jax.make_jaxpr(many)(jnp.zeros((7, 4, 3))).jaxpr.eqns}
+
+    assert "gather" not in operations([3, 0, 1])
+    assert "gather" not in operations([-1, 4, 1])
+    assert "gather" in operations([1, 1, 0])
+
+
 def test_a_loop_carries_each_robots_own():
     def function(x, rows):
         def step(carry, row):

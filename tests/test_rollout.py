@@ -5,16 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from probes import counter
+from scipy import stats
 
-from qdil.search.rollout import start, window
+from qdil.search.rollout import noise_of, start, window
 
 BOUND, LIMIT, LENGTH, ENVS = 3.0, 6, 12, 8
 
 
-def push_randomly(key, obs):
-    """Actions in [-0.5, 1.5), some of them beyond what the robot takes; their "log probability" is the observation."""
-    raw = jax.vmap(lambda k: jax.random.uniform(k, (1,), minval=-0.5, maxval=1.5))(key)
-    return raw, obs[:, 0]
+def push_randomly(noise, obs):
+    """Actions around 0.5, some of them beyond what the robot takes; their "log probability" is the observation."""
+    return 0.5 + 0.6 * noise, obs[:, 0]
 
 
 @pytest.fixture(scope="module")
@@ -63,12 +63,26 @@ def test_each_choice_is_remembered_as_it_was_drawn(two_windows):
     np.testing.assert_array_equal(choice.log_prob, steps.obs[..., 0])
 
 
-def test_every_episode_starts_somewhere_else(two_windows):
+def test_each_robot_and_window_has_a_start_of_its_own(two_windows):
     steps, _ = two_windows
-    ended = np.concatenate([np.ones((1, ENVS), bool), steps.ended[:-1]])
-    starts = steps.obs[..., 0][ended]
-    assert len(starts) > 3 * ENVS
-    assert len(np.unique(starts)) == len(starts)
+    starts = steps.obs[1:, :, 0]  # where episodes begin, by the window in which the one before ended
+    windows = list(zip(halves(steps.ended[:-1]), halves(starts), strict=True))
+    assert all(ended.sum() > 1.5 * ENVS for ended, _ in windows)
+    distinct = [set(at[ended[:, e], e].tolist()) for ended, at in windows for e in range(ENVS)]
+    assert all(len(own) <= 1 for own in distinct)
+    assert len(set.union(*distinct)) == sum(map(len, distinct))
+
+
+def halves(x):
+    """Of two windows' steps but the last: the first window's, and the second's."""
+    return x[:LENGTH], x[LENGTH:]
+
+
+def test_noise_is_standard_normal_and_every_steps_own():
+    noise = np.asarray(noise_of(jax.random.split(jax.random.key(0), 200), 30, 4))
+    assert noise.shape == (30, 200, 4)
+    assert stats.kstest(noise.ravel(), "norm").pvalue > 1e-3
+    assert len(np.unique(noise)) > 0.99 * noise.size
 
 
 def test_a_robots_future_does_not_depend_on_its_neighbours():
@@ -81,7 +95,7 @@ def test_a_robots_future_does_not_depend_on_its_neighbours():
 
 
 def test_out_of_step_only_the_first_episode_is_cut_short():
-    def stay(key, obs):
+    def stay(noise, obs):
         return jnp.zeros((len(obs), 1)), obs[:, 0]
 
     env, envs = counter(BOUND), 64

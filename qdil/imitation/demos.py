@@ -58,11 +58,9 @@ def record(
     zeros = jnp.zeros_like(jnp.asarray(elites["obs_mean"]))
     stats = ObsStats(jnp.asarray(elites["obs_mean"]), jnp.asarray(elites["obs_std"]), zeros, jnp.zeros(len(zeros)))
 
-    def act(key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        mean = jax.vmap(networks.policy_mean)(policies, stats, obs)
-        noise = jax.vmap(lambda k: jax.random.normal(k, mean.shape[-1:]))(key)
+    def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
         spread = jnp.exp(policies["log_std"]) if sample_actions else 0.0
-        return mean + noise * spread, jnp.zeros(len(key))
+        return jax.vmap(networks.policy_mean)(policies, stats, obs) + noise * spread, jnp.zeros(len(noise))
 
     keys = jax.random.split(key, len(elites["solution"]))
     run = jax.jit(lambda k: window(env, act, start(env, k, episode_length), episode_length, episode_length)[1])

@@ -143,9 +143,10 @@ def make(name: str, backend: str = "spring", as_brax: bool = False) -> Environme
             before = State(state.physics, state.obs, zero, zero, dict.fromkeys(metrics, zero))
             after = env.step(before, jnp.clip(action, -1.0, 1.0))
             # A diverged robot ends its episode there; its last sound observation stands in for the lost one.
-            finite = jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED)
+            finite = _once(jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED))
             obs = jnp.where(finite, after.obs, state.obs)
-            outcome = Outcome(jnp.where(finite, after.reward, 0.0), (after.done > 0.5) | ~finite, finite)
+            terminated = _once((after.done > 0.5) | ~finite)
+            outcome = Outcome(jnp.where(finite, after.reward, 0.0), terminated, finite)
             return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome
 
         begin, (start, metrics) = _traced_once(begin, jax.random.key(0))  # the collision code is imported here
@@ -162,6 +163,11 @@ def make(name: str, backend: str = "spring", as_brax: bool = False) -> Environme
     reset, step = jax.jit(reset, inline=True), jax.jit(step, inline=True)
     obs_size = start.obs.shape[-1]  # the property of Brax traces a reset to find out
     return Environment(name, backend, obs_size, int(env.action_size), ROBOTS[name].feet, float(env.dt), reset, step)
+
+
+def _once(mask: jax.Array) -> jax.Array:
+    """``mask``, worked out once: what leads to it, XLA would put into every kernel that reads it; but no root."""
+    return jnp.sqrt(mask.astype(jnp.float32)) > 0.5
 
 
 def _together(step: Step, *like: Any) -> Step:

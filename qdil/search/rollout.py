@@ -1,17 +1,17 @@
 """Driving robots: fresh starts, and a training window in which whoever's episode ends starts again."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from qdil.robots.environment import Environment, RobotState
+from qdil.robots.environment import Environment, Outcome, RobotState
 from qdil.types import Choice, Transitions
 
-RESET_POOL = 4  # fresh start states prepared per robot and window; drawing one costs nothing inside the loop
-
-Act = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]  # keys (E,), obs (E, O) -> raw action, log prob
+# Standard normal noise (E, A) and observations (E, O) -> raw actions (E, A) and their log probabilities (E,).
+Act = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 
 
 class Actors(NamedTuple):
@@ -45,9 +45,30 @@ def split_each(key: jax.Array) -> tuple[jax.Array, jax.Array]:
     return pair[:, 0], pair[:, 1]
 
 
+def noise_of(key: jax.Array, length: int, size: int) -> jax.Array:
+    """Standard normal numbers (length, E, size) for as many steps, each robot's of its own key (E,)."""
+    return jax.vmap(lambda k: jax.random.normal(k, (length, size)), out_axes=1)(key)
+
+
 def where_each(mask: jax.Array, yes, no):
     """Per-robot choice by ``mask`` (E,) between two trees whose leaves have axis (E) in front."""
     return jax.tree.map(lambda a, b: jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b), yes, no)
+
+
+def last(tree):
+    """Leaves (E, …) as (…, E), as the physics of many robots lays them in memory (``qdil.robots.robots_last``)."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), tree)
+
+
+def first(tree):
+    """Undo ``last``."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), tree)
+
+
+def step_each(env: Environment, robot: RobotState, action: jax.Array) -> tuple[RobotState, Outcome]:
+    """``env.step`` of robots laid out as by ``last``. Moved to the front and back, they are not moved at all by XLA."""
+    after, outcome = jax.vmap(env.step)(first(robot), action)
+    return last(after), outcome
 
 
 def window(
@@ -55,46 +76,43 @@ def window(
 ) -> tuple[Actors, Transitions, Choice]:
     """Drive every robot for ``length`` steps, starting a new random episode wherever one ends.
 
-    A robot that falls more than ``RESET_POOL`` times within one window meets its own start states again.
+    One start state is drawn per robot and window, since a reset costs as much as a step: a robot whose episodes end
+    twice within a window starts from there twice. (Brax's own wrapper starts all episodes of a robot at its first.)
 
     A fall is ``terminated``, the step of a robot's time limit ``truncated``; new episodes may last ``episode_length``
     steps. ``next_obs`` is the episode's own last observation, not the reset one. Returns the robots as they are then
     and (length, E) transitions.
     """
-    key, pool_key = split_each(actors.key)
-    pool_keys = jax.vmap(lambda k: jax.random.split(k, RESET_POOL))(pool_key)
-    starts = jax.vmap(env.reset)(pool_keys.reshape(-1))  # one vmap: a second would take as long to trace as the first
-    pool = jax.tree.map(lambda leaf: leaf.reshape(*pool_keys.shape, *leaf.shape[1:]), starts)
-    actors = actors._replace(key=key)
-    resets = jnp.zeros(actors.steps.shape, jnp.int32)
+    key, noise_key, fresh_key = jax.vmap(lambda k: jax.random.split(k, 3), out_axes=1)(actors.key)
+    noise = noise_of(noise_key, length, env.action_size)
+    fresh = last(jax.vmap(env.reset)(fresh_key))
 
-    def step(carry, _):
-        (robot, steps, limit, proxy_sum, key), resets = carry
-        key, act_key = split_each(key)
-        raw_action, log_prob = act(act_key, robot.obs)
-        after, outcome = jax.vmap(env.step)(robot, raw_action)
-        steps, proxy_sum = steps + 1, proxy_sum + robot.proxy
+    def step(carry, noise):
+        robot, steps, limit, proxy_sum = carry
+        obs, proxy = first((robot.obs, robot.proxy))
+        raw_action, log_prob = act(noise, obs)
+        after, outcome = step_each(env, robot, raw_action)
+        steps, proxy_sum = steps + 1, proxy_sum + proxy
         truncated = (steps >= limit) & ~outcome.terminated
         ended = outcome.terminated | truncated
         transition = Transitions(
-            robot.obs,
+            obs,
             jnp.clip(raw_action, -1.0, 1.0),
-            after.obs,
-            robot.proxy,
+            first(after.obs),
+            proxy,
             outcome.reward,
             outcome.terminated,
             truncated,
             proxy_sum / steps[:, None],
         )
-        fresh = jax.tree.map(lambda leaf: jax.vmap(lambda slots, i: slots[i % RESET_POOL])(leaf, resets), pool)
-        actors = Actors(
-            where_each(ended, fresh, after),
+        carry = (
+            jax.tree.map(partial(jnp.where, ended), fresh, after),
             jnp.where(ended, 0, steps),
             jnp.where(ended, episode_length, limit),
             jnp.where(ended[:, None], 0.0, proxy_sum),
-            key,
         )
-        return (actors, resets + ended), (transition, Choice(raw_action, log_prob))
+        return carry, (transition, Choice(raw_action, log_prob))
 
-    (actors, _), (transitions, choices) = jax.lax.scan(step, (actors, resets), None, length)
-    return actors, transitions, choices
+    begun = (last(actors.robot), actors.steps, actors.limit, actors.proxy_sum)
+    (robot, steps, limit, proxy_sum), (transitions, choices) = jax.lax.scan(step, begun, noise)
+    return Actors(first(robot), steps, limit, proxy_sum, key), transitions, choices

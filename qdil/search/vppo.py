@@ -93,14 +93,13 @@ def from_copies(x: jax.Array, axis: int = 0) -> jax.Array:
 def act_with_copies(policy: Params, stats: ObsStats, copies: int) -> Act:
     """Sample actions for E environments from K policies, each driving its own share."""
 
-    def act_one(params: Params, key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def act_one(params: Params, noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
         mean = networks.policy_mean(params, stats, obs)
-        noise = jax.vmap(lambda k: jax.random.normal(k, mean.shape[-1:]))(key)
         raw = mean + noise * jnp.exp(params["log_std"])
         return raw, networks.log_prob(params, mean, raw)
 
-    def act(key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        raw, logp = jax.vmap(act_one)(policy, to_copies(key, copies), to_copies(obs, copies))
+    def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        raw, logp = jax.vmap(act_one)(policy, to_copies(noise, copies), to_copies(obs, copies))
         return from_copies(raw), from_copies(logp)
 
     return act

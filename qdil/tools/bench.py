@@ -22,11 +22,11 @@ import numpy as np
 from jax.sharding import PartitionSpec as P
 
 from qdil import ppga
-from qdil.compiler import for_speed
+from qdil.compiler import on_one_core
 from qdil.config import Config, make_config
 from qdil.imitation.reward_model import Demonstrations
 from qdil.search import archive
-from qdil.search.rollout import split_each, start, window
+from qdil.search.rollout import start, window
 from qdil.sharding import AXIS, make_mesh
 from qdil.tools.start import start_seconds
 
@@ -232,17 +232,16 @@ def _bare_simulator(config: Config, num_devices: int, as_brax: bool = False) -> 
 
     env = brax_robots.make(config.env, config.backend, as_brax)
 
-    def act(key: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        one = jax.vmap(lambda k: jax.random.uniform(k, (env.action_size,), minval=-1.0, maxval=1.0))
-        return one(key), jnp.zeros(len(key))
+    def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jnp.clip(noise, -1.0, 1.0), jnp.zeros(len(noise))
 
     def drive(actors: Any) -> Any:
         actors, steps, _ = window(env, act, actors, config.window, config.episode_length)
-        return actors._replace(key=split_each(actors.key)[0]), jnp.sum(steps.reward)[None]
+        return actors, jnp.sum(steps.reward)[None]
 
     mesh = make_mesh(num_devices)
     over_devices = jax.shard_map(drive, mesh=mesh, in_specs=P(AXIS), out_specs=(P(AXIS), P(AXIS)), check_vma=False)
-    run = jax.jit(over_devices, compiler_options=None if as_brax else for_speed(num_devices))
+    run = jax.jit(over_devices, compiler_options=None if as_brax else on_one_core())
     keys = jax.random.split(jax.random.key(0), config.num_envs)
     now = [run(jax.jit(lambda k: start(env, k, config.episode_length, in_step=False))(keys))[0]]
     windows = config.gradient_updates + config.walk_updates
