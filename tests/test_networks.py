@@ -59,6 +59,13 @@ def test_layers_start_orthogonal():
     np.testing.assert_allclose(last["w"].T @ last["w"], 0.25 * np.eye(3), atol=1e-5)
 
 
+def test_one_input_at_a_time_is_all_at_once(policy):
+    inputs = jax.random.normal(jax.random.key(5), (6, policy["mean"][0]["w"].shape[0]))
+    rows = networks.outputs_in_rows(policy["mean"])
+    alone = [networks.mlp_of_one(rows, x) for x in inputs]
+    np.testing.assert_allclose(alone, networks.mlp(policy["mean"], inputs), rtol=1e-5, atol=1e-6)
+
+
 def test_columns_are_rows_on_their_side(policy):
     layers = policy["mean"]
     rows = np.random.default_rng(0).normal(size=(4, 7, 3)).astype(np.float32)
