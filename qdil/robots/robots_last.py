@@ -136,9 +136,9 @@ def _rule(*names: str) -> Callable[[Rule], Rule]:
 
 
 @_rule(
-    "abs", "add", "and", "clamp", "convert_element_type", "copy", "cos", "div", "eq", "exp",
-    "ge", "gt", "integer_pow", "is_finite", "le", "log", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow",
-    "rsqrt", "select_n", "sign", "sin", "sqrt", "square", "sub", "tan", "tanh", "xor",
+    "abs", "add", "and", "clamp", "convert_element_type", "copy", "cos", "div", "eq", "exp", "ge", "gt", "integer_pow",
+    "is_finite", "le", "log", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow", "rsqrt", "select_n", "sign",
+    "sin", "sqrt", "square", "sub", "tan", "tanh", "xor",
 )  # fmt: skip
 def _number_by_number(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
     shape = (*_shape(eqn.outvars[0]), count)  # of all but single numbers, which stand for as many as there are
