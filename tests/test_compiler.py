@@ -1,5 +1,6 @@
 """What XLA is told changes rounding alone; it keeps physics on one core, and learning where every core has a device."""
 
+import re
 from functools import partial
 
 import jax
@@ -49,14 +50,30 @@ def test_learning_is_spread_over_cores_only_while_some_have_no_device():
     assert not is_spread(compiled(cores()))
 
 
-@pytest.mark.skipif(cores() < 2, reason="one core has no threads to spread over")
-def test_physics_stays_on_one_core_though_another_is_idle():
-    """Of one device and enough robots that XLA would spread their windows, if it were not told."""
-    config = make_config("walker2d", "true", "smoke", devices=1, num_envs=1536, window=2)
-    programs = search_programs(config, 1)
+ROBOTS = 1536  # so many that XLA would spread their windows, if it were not told
+
+
+@pytest.fixture(scope="module")
+def window():
+    """The functions of a window of one device, and its compiled program."""
+    programs = search_programs(make_config("walker2d", "true", "smoke", devices=1, num_envs=ROBOTS, window=2), 1)
     learner, stats, actors = jax.eval_shape(programs.init, jax.random.key(0))
-    learner = jax.eval_shape(programs.fork, learner)
-    window = programs.collect.lower(learner, stats, actors).compile().as_text()
-    unsaid = jax.jit(partial(vppo.collect, programs.parts.env, programs.parts.settings))
-    assert is_spread(unsaid.lower(learner, stats, actors).compile().as_text())
-    assert not is_spread(window)
+    like = jax.eval_shape(programs.fork, learner), stats, actors
+    return programs.parts, like, programs.collect.lower(*like).compile().as_text()
+
+
+@pytest.mark.skipif(cores() < 2, reason="one core has no threads to spread over")
+def test_physics_stays_on_one_core_though_another_is_idle(window):
+    parts, like, program = window
+    unsaid = jax.jit(partial(vppo.collect, parts.env, parts.settings))
+    assert is_spread(unsaid.lower(*like).compile().as_text())
+    assert not is_spread(program)
+
+
+def test_whether_a_robot_fell_is_not_worked_out_for_each_of_its_numbers(window):
+    """Kernels that choose between going on and starting anew do little else; with all that leads there, they do 90."""
+    kernels = re.findall(r"\n%?\S+ \(.*\{\n((?:  .*\n)+?)\}", window[-1])
+    of_robots = re.compile(rf"ROOT .* f32\[[\d,]*{ROBOTS}\].* select\(.*\n$")
+    choices = [kernel.count("\n") for kernel in kernels if of_robots.search(kernel)]
+    assert len(choices) > 15
+    assert np.median(choices) < 30
