@@ -112,7 +112,7 @@ def _only(names: tuple[str, ...], config: Config, **changes: Any) -> Config:
     return replace(Config(), **{name: getattr(config, name) for name in names}, **changes)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)  # each takes some 5,000 of the 65,530 memory maps that Linux allows a process
 def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     """The search's programs for the ``SEARCH_SETTINGS`` of ``config``."""
     parts = phases.assemble(config)

@@ -1,8 +1,28 @@
-"""Imported before any test: ``qdil`` first, so that JAX starts with one host device per core."""
+"""Imported before any test: ``qdil``, so that JAX starts with one host device per core."""
 
+import gc
+from pathlib import Path
+
+import jax
+import pytest
 from hypothesis import settings
 
 import qdil  # noqa: F401
+from qdil import compiled
 
 settings.register_profile("qdil", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("qdil")
+
+MAPS = Path("/proc/self/maps")  # Linux
+MANY_MAPS = 20_000  # Linux allows 65,530; past that XLA crashes without a word
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forget_programs():
+    """Every compiled program stays mapped into memory, a map for each of its parts: forget them when they are many."""
+    yield
+    if MAPS.exists() and len(MAPS.read_text().splitlines()) > MANY_MAPS:
+        compiled.search_programs.cache_clear()
+        compiled.reward_programs.cache_clear()
+        jax.clear_caches()
+        gc.collect()
