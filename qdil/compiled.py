@@ -158,7 +158,7 @@ def search_programs(config: Config, num_devices: int) -> SearchPrograms:
     )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=32)  # some 600 maps each
 def reward_programs(config: Config, num_devices: int) -> RewardPrograms:
     """The programs of the reward that ``config.method`` names, for the ``REWARD_SETTINGS`` of ``config``."""
     model = reward_model(config, brax_robots.make(config.env, config.backend))

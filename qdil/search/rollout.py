@@ -51,7 +51,7 @@ def noise_of(key: jax.Array, length: int, size: int) -> jax.Array:
 
 
 def where_each(mask: jax.Array, yes, no):
-    """Per-robot choice by ``mask`` (E,) between two trees whose leaves have axis (E) in front."""
+    """Choice by ``mask`` (E,), one per robot (or copy), between two trees whose leaves have axis (E) in front."""
     return jax.tree.map(lambda a, b: jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b), yes, no)
 
 

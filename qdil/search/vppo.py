@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from qdil.robots.environment import Environment
 from qdil.search import networks
 from qdil.search.normalise import ReturnStats, init_return_stats, normalise_obs, update_obs_stats, update_return_stats
-from qdil.search.rollout import Act, Actors, window
+from qdil.search.rollout import Act, Actors, where_each, window
 from qdil.sharding import AXIS
 from qdil.types import Choice, ObsStats, Params, Transitions
 
@@ -134,15 +134,16 @@ def loss(
     policy: Params, critic: Params, batch: Batch, settings: Settings
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """PPO's clipped surrogate and clipped value loss of one copy; ``batch.advantage`` is normalised already."""
-    obs = networks.as_columns(batch.obs)
-    mean = networks.mlp_of_columns(policy["mean"], obs).T.reshape(batch.choice.raw_action.shape)
-    log_ratio = networks.log_prob(policy, mean, batch.choice.raw_action) - batch.choice.log_prob
+    obs, raw_action = networks.as_columns(batch.obs), networks.columns(batch.choice.raw_action)
+    advantage = batch.advantage.reshape(-1)
+    mean = networks.mlp_of_columns(policy["mean"], obs)
+    log_ratio = networks.log_prob_of_columns(policy, mean, raw_action) - batch.choice.log_prob.reshape(-1)
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
-    surrogate = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
-    value = networks.mlp_of_columns(critic, obs).T.reshape(batch.value.shape)
-    near = batch.value + jnp.clip(value - batch.value, -settings.clip, settings.clip)
-    errors = jnp.maximum(jnp.square(value - batch.target), jnp.square(near - batch.target))
+    surrogate = jnp.minimum(ratio * advantage, clipped * advantage)
+    value, before, target = networks.mlp_of_columns(critic, obs), *map(networks.columns, (batch.value, batch.target))
+    near = before + jnp.clip(value - before, -settings.clip, settings.clip)
+    errors = jnp.maximum(jnp.square(value - target), jnp.square(near - target))
     value_loss = 0.5 * jnp.mean(errors)
     total = -jnp.mean(surrogate) + settings.value_coef * value_loss - settings.entropy_coef * networks.entropy(policy)
     approx_kl = jnp.mean(ratio - 1.0 - log_ratio)  # Schulman's low-variance estimator
@@ -191,32 +192,29 @@ def _prepare(
     return learner._replace(returns=after), Batch(obs, choice, advantage, target, said)
 
 
-def _minibatch_step(
-    learner: Learner, active: jax.Array, batch: Batch, tied: jax.Array, settings: Settings
-) -> tuple[Learner, jax.Array]:
-    """One gradient step of all copies (none where a copy is not ``active``); returns their KL (K,) too."""
+def _minibatch_step(learner: Learner, batch: Batch, tied: jax.Array, settings: Settings) -> tuple[Learner, jax.Array]:
+    """One gradient step of all copies; returns their KL (K,) too."""
 
     def gradients(policy: Params, critic: Params, batch: Batch) -> tuple[tuple[Params, Params], jax.Array]:
         grads, (approx_kl, _) = jax.grad(loss, argnums=(0, 1), has_aux=True)(policy, critic, batch, settings)
         return grads, approx_kl
 
-    def step(learner: Learner, grads: tuple[Params, Params], active: jax.Array) -> Learner:
+    def step(learner: Learner, grads: tuple[Params, Params]) -> Learner:
         opt = optimiser(settings)
         policy_step, policy_opt = opt.update(grads[0], learner.policy_opt)
         critic_step, critic_opt = opt.update(grads[1], learner.critic_opt)
-        moved = Learner(
+        return Learner(
             optax.apply_updates(learner.policy, policy_step),
             optax.apply_updates(learner.critic, critic_step),
             policy_opt,
             critic_opt,
             learner.returns,
         )
-        return jax.tree.map(lambda new, old: jnp.where(active, new, old), moved, learner)
 
     mine = jax.vmap(gradients)(learner.policy, learner.critic, batch)
     together, separate = _as_rows(mine)  # one message crosses the devices
     grads, approx_kl = separate(_across(together, tied))
-    return jax.vmap(step)(learner, grads, active), approx_kl
+    return jax.vmap(step)(learner, grads), approx_kl
 
 
 def _as_rows(tree: Any) -> tuple[jax.Array, Callable[[jax.Array], Any]]:
@@ -249,16 +247,17 @@ def _shuffled(batch: Batch, order: jax.Array, minibatches: int) -> Batch:
 def _learn(
     learner: Learner, batch: Batch, key: jax.Array, tied: jax.Array, epochs: jax.Array, settings: Settings
 ) -> tuple[Learner, jax.Array]:
-    """Up to ``epochs`` passes over the window; a copy whose mean KL passes the target stops there."""
+    """Up to ``epochs`` passes over the window; a copy whose mean KL (K,) passes the target stops after that one."""
     copies, length = batch.advantage.shape[:2]
 
     def epoch(carry):
-        i, learner, active, _, key = carry
+        i, learner, active, kl, key = carry
         key, order_key = jax.random.split(key)
         parts = _shuffled(batch, jax.random.permutation(order_key, length), settings.minibatches)
         parts = parts._replace(advantage=_normalised(parts.advantage, tied))
-        learner, kl = jax.lax.scan(lambda le, part: _minibatch_step(le, active, part, tied, settings), learner, parts)
-        kl = jnp.mean(kl, axis=0)
+        moved, kls = jax.lax.scan(lambda now, part: _minibatch_step(now, part, tied, settings), learner, parts)
+        # What a copy that has stopped would have learned is thrown away once an epoch, not at every step.
+        learner, kl = where_each(active, (moved, jnp.mean(kls, axis=0)), (learner, kl))
         return i + 1, learner, active & (kl <= settings.target_kl), kl, key
 
     def go_on(carry):
