@@ -255,7 +255,8 @@ def test_a_copy_past_its_kl_target_stops_alone():
     # Copy 1 is paid nothing, so its policy never moves and only its critic goes on learning.
     run = compile_updates(SETTINGS._replace(target_kl=1e-9))
     weights = jnp.array([[1.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
-    once, four_times = run(1, weights, False, 1)[0], run(1, weights, False, 4)[0]
+    (once, _, _, said_once), (four_times, _, _, said) = run(1, weights, False, 1), run(1, weights, False, 4)
+    assert said["approx_kl"] == pytest.approx(said_once["approx_kl"])  # at which they stopped, and 0 of copy 1
     for copy in (0, 2):
         np.testing.assert_array_equal(leaves(four_times, copy), leaves(once, copy))
     np.testing.assert_array_equal(leaves(four_times.policy, 1), leaves(once.policy, 1))
