@@ -3,11 +3,22 @@
 import json
 import os
 import threading
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import pytest
 
 from qdil.cli import main
 from qdil.tools import bench
+
+
+class Run(NamedTuple):
+    """As much of ``ppga.Search`` as the bench moves from run to run."""
+
+    archives: list
+    xnes: Any
+    rng: Any
+    state: Any
 
 
 def test_ratios_are_taken_within_a_round():
@@ -39,6 +50,24 @@ def test_table_and_json_show_every_robot():
     lines = bench.table(rows).splitlines()
     assert lines[0].split() == ["walker2d", "humanoid"]
     assert lines[1].split() == ["device_speedup", "1.83", "1.9"] and lines[2].split()[1:] == ["nan", "1.02e+03"]
+
+
+def test_speedup_compares_the_same_iterations(monkeypatch):
+    """Searches of which only a number matters: it grows by one an iteration, and archives are changed in place."""
+    searches = [Run([], None, None, jnp.asarray(at)) for at in (100, 5)]
+    done = []
+
+    def iteration(search):
+        done.append((search.archives is searches[1].archives, len(search.archives), int(search.state)))
+        search.archives.append("elite")
+        return search._replace(state=search.state + 1), (1.0, 1.0)
+
+    monkeypatch.setattr(bench, "_iteration", iteration)
+    before, turn = bench._same_iterations(*searches)
+    for _ in range(2):
+        before()
+        turn()
+    assert done == [(False, 0, 5), (True, 0, 5), (False, 1, 6), (True, 1, 6)]
 
 
 @pytest.mark.parametrize("arguments", [["--env", "ant"], ["--budget", "huge"], ["--rounds", "0"]])

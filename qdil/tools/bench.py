@@ -4,6 +4,7 @@ Machines are shared and drift, so nothing here is worth much alone: every speed 
 simulator's (random actions, the same robots on the same devices), and the medians of their ratios are what counts.
 """
 
+import copy
 import json
 import os
 import resource
@@ -102,7 +103,7 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     row["reward_update_share"] = seconds["reward"] / seconds["iteration"]
     if jax.local_device_count() > 1:
         alone = _begun(env, "true", budget, like=true, devices=1)
-        one, together = _iterations_of(alone), _iterations_of(true)
+        one, together = _same_iterations(alone, true)
         bare_one = _bare_simulator(alone.config, 1)
         row["simulator_device_speedup"] = _against(_in_turns({"one": bare_one, "all": tuned}, rounds), "one")[1]["all"]
         row["device_speedup"] = _against(_in_turns({"one": one, "all": together}, rounds), "one")[1]["all"]
@@ -276,17 +277,44 @@ def _evaluation(search: ppga.Search) -> tuple[float, float]:
     return float(candidates.length.sum() * search.config.episodes), time.monotonic() - began
 
 
+def _iteration(search: ppga.Search) -> tuple[ppga.Search, tuple[float, float]]:
+    """What follows one whole QD iteration; its steps and seconds."""
+    began = time.monotonic()
+    search, info = ppga.iteration(search)
+    jax.block_until_ready(search.state.key)
+    return search, (info["steps"], time.monotonic() - began)
+
+
 def _iterations_of(search: ppga.Search) -> Turn:
     """One whole QD iteration after the other."""
     now = [search]
 
     def turn() -> tuple[float, float]:
-        began = time.monotonic()
-        now[0], info = ppga.iteration(now[0])
-        jax.block_until_ready(now[0].state.key)
-        return info["steps"], time.monotonic() - began
+        now[0], taken = _iteration(now[0])
+        return taken
 
     return turn
+
+
+def _same_iterations(one: ppga.Search, together: ppga.Search) -> tuple[Turn, Turn]:
+    """One whole QD iteration after the other by ``together``, and, each before it, the same by the devices of ``one``.
+
+    Two runs would drift apart, and where candidates live longer more of an iteration's steps are the fast ones of
+    evaluations.
+    """
+    now = [together]
+
+    def before() -> tuple[float, float]:
+        theirs = now[0]
+        archives, xnes, rng = copy.deepcopy((theirs.archives, theirs.xnes, theirs.rng))
+        state = jax.block_until_ready(_laid_out_as(one.state, theirs.state))
+        return _iteration(one._replace(archives=archives, xnes=xnes, rng=rng, state=state))[1]
+
+    def turn() -> tuple[float, float]:
+        now[0], taken = _iteration(now[0])
+        return taken
+
+    return before, turn
 
 
 def _reward_update(search: ppga.Search) -> tuple[float, float]:
