@@ -14,6 +14,8 @@ from qdil.compiler import for_learning, on_one_core
 from qdil.config import make_config
 from qdil.robots import brax_robots
 from qdil.search import vppo
+from qdil.search.evaluate import Policies
+from qdil.search.networks import flat_size
 
 
 def test_how_physics_is_compiled_changes_rounding_alone():
@@ -50,23 +52,43 @@ def test_learning_is_spread_over_cores_only_while_some_have_no_device():
     assert not is_spread(compiled(cores()))
 
 
-ROBOTS = 1536  # so many that XLA would spread their windows, if it were not told
+ROBOTS = 1536  # so many that XLA would spread their windows and evaluations, if it were not told
 
 
 @pytest.fixture(scope="module")
-def window():
-    """The functions of a window of one device, and its compiled program."""
-    programs = search_programs(make_config("walker2d", "true", "smoke", devices=1, num_envs=ROBOTS, window=2), 1)
+def programs():
+    """The search's programs of one device, for windows and evaluations of two steps."""
+    episodes = {"candidates": ROBOTS // 2, "episodes": 2, "eval_tile": ROBOTS, "eval_chunk": 2}
+    return search_programs(
+        make_config("walker2d", "true", "smoke", devices=1, num_envs=ROBOTS, window=2, **episodes), 1
+    )
+
+
+@pytest.fixture(scope="module")
+def window(programs):
+    """A window's function, as it was before it was compiled; what it is called with; its compiled program."""
     learner, stats, actors = jax.eval_shape(programs.init, jax.random.key(0))
     like = jax.eval_shape(programs.fork, learner), stats, actors
-    return programs.parts, like, programs.collect.lower(*like).compile().as_text()
+    parts = programs.parts
+    return partial(vppo.collect, parts.env, parts.settings), like, programs.collect.lower(*like).compile().as_text()
+
+
+@pytest.fixture(scope="module")
+def evaluation(programs):
+    """The same of a chunk of an evaluation."""
+    parts = programs.parts
+    size, obs = flat_size(parts.like), parts.env.obs_size
+    policies = Policies(*(jnp.zeros((ROBOTS // 2, width)) for width in (size, obs, obs)))
+    keys = jax.random.split(jax.random.key(0), (ROBOTS // 2, 2))
+    like = policies, *jax.eval_shape(programs.episodes.begin, keys)
+    return parts.episodes.advance, like, programs.episodes.advance.lower(*like).compile().as_text()
 
 
 @pytest.mark.skipif(cores() < 2, reason="one core has no threads to spread over")
-def test_physics_stays_on_one_core_though_another_is_idle(window):
-    parts, like, program = window
-    unsaid = jax.jit(partial(vppo.collect, parts.env, parts.settings))
-    assert is_spread(unsaid.lower(*like).compile().as_text())
+@pytest.mark.parametrize("physics", ["window", "evaluation"])
+def test_physics_stays_on_one_core_though_another_is_idle(physics, request):
+    function, like, program = request.getfixturevalue(physics)
+    assert is_spread(jax.jit(function).lower(*like).compile().as_text())
     assert not is_spread(program)
 
 
