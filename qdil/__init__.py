@@ -1,14 +1,15 @@
-"""qdil: quality-diversity imitation learning in JAX, the reproducible companion to MConbo-GAIL."""
+"""qdil: quality-diversity imitation learning in JAX, the reproducible companion to MConbo-GAIL.
+
+Importing it changes nothing in the process. ``qdil.use_all_cores()`` makes every CPU core a device.
+"""
 
 from typing import TYPE_CHECKING, Any
 
-from qdil import _startup
+from qdil.devices.start import use_all_cores as use_all_cores
 
 if TYPE_CHECKING:
     from qdil.explorer import explore as explore
     from qdil.explorer import render as render
-
-_startup.prepare()
 
 __version__ = "0.1.0"
 

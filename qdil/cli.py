@@ -7,15 +7,20 @@ import os
 import sys
 from pathlib import Path
 
-from qdil.config import BUDGETS, ROBOTS, ConfigError, make_config, parse_settings, settings_help
-from qdil.evidence.studies import STUDIES, experiments_of
-from qdil.registry import describe, method_names
+from qdil import plugins
+from qdil.config import BUDGETS, make_config, parse_settings, settings_help
+from qdil.devices.start import use_all_cores
+from qdil.errors import ConfigError
+from qdil.methods import describe, method_names
+from qdil.robots.register import PAPER_ROBOTS, robot_names
+from qdil.runs.studies import STUDIES, experiments_of
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="qdil", description="Quality-diversity imitation learning (PPGA, MConbo-GAIL)."
     )
+    _add_import(parser)
     commands = parser.add_subparsers(dest="command", required=True)
 
     train = commands.add_parser(
@@ -27,7 +32,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=settings_help(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    train.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    train.add_argument("--env", required=True, help=f"robot: {', '.join(robot_names())}")
     train.add_argument("--method", required=True, help="a method's name; 'qdil methods' lists them")
     _budget_and_seed(train)
     train.add_argument(
@@ -56,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         help="record demonstrations of a trained expert",
         description="Choose diverse elites of the expert ('--method true') and record an episode of each.",
     )
-    demos.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    demos.add_argument("--env", required=True, help=f"robot: {', '.join(robot_names())}")
     _budget_and_seed(demos)
     demos.add_argument("--episodes", type=int, help="demonstrations to record (default: 4; smoke: 1)")
     demos.add_argument("--expert", type=Path, help="the expert's run folder (default: that of --budget and --seed)")
@@ -67,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         help="draw the finished runs of a robot",
         description="Write curves, archives and bars of finished runs to results/figures, as PNG and PDF, and a table.",
     )
-    figures.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    figures.add_argument("--env", required=True, help=f"robot: {', '.join(robot_names())}")
     figures.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
     figures.add_argument("--seed", type=int, action="append", help="repeatable (default: every finished seed)")
 
@@ -94,7 +99,9 @@ def _parser() -> argparse.ArgumentParser:
         help="measure speed on this machine",
         description="Measure a run's speed as shares of the bare simulator's, robot by robot; takes minutes for each.",
     )
-    bench.add_argument("--env", action="append", metavar="ENV", help=f"one of {', '.join(ROBOTS)} (default: all)")
+    bench.add_argument(
+        "--env", action="append", metavar="ENV", help=f"one of {', '.join(robot_names())} (default: all)"
+    )
     bench.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
     bench.add_argument("--rounds", type=int, default=5, help="turns that each speed is taken in (default: 5)")
     bench.add_argument("--json", action="store_true", help="print an object per robot instead of a table")
@@ -106,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=f"studies: {', '.join(STUDIES)}",
     )
     study.add_argument("names", nargs="*", metavar="STUDY", help="studies (default: all)")
-    study.add_argument("--env", required=True, help=f"robot: {', '.join(ROBOTS)}")
+    study.add_argument("--env", required=True, help=f"robot: {', '.join(robot_names())}")
     study.add_argument("--budget", default="laptop", help=f"one of {', '.join(BUDGETS)} (default: laptop)")
     study.add_argument("--seed", type=int, action="append", help="repeatable (default: smoke 1, laptop and full 1 2 3)")
     study.add_argument("--dry-run", action="store_true", help="list the runs and whether they are there; train nothing")
@@ -121,7 +128,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     notebooks.add_argument("names", nargs="*", metavar="NAME", help="notebooks, e.g. 05_mconbo_gail (default: all)")
     notebooks.add_argument("--budget", default="smoke", help=f"one of {', '.join(BUDGETS)} (default: smoke)")
-    notebooks.add_argument("--env", default="walker2d", help=f"robot: {', '.join(ROBOTS)} (default: walker2d)")
+    notebooks.add_argument("--env", default="walker2d", help=f"robot: {', '.join(robot_names())} (default: walker2d)")
     notebooks.add_argument("--seed", type=int, default=1, help="the notebooks' seed (default: 1)")
     notebooks.add_argument("-j", type=int, default=2, metavar="N", help="notebooks at a time (default: 2)")
     notebooks.add_argument(
@@ -131,6 +138,27 @@ def _parser() -> argparse.ArgumentParser:
         "--timeout", type=float, default=30.0, metavar="MINUTES", help="limit for each notebook (default: 30)"
     )
     return parser
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--import",
+        action="append",
+        default=[],
+        metavar="MODULE",
+        dest="modules",
+        help="a module of your own that registers reward models or robots (repeatable; before the command)",
+    )
+
+
+def _imports(argv: list[str]) -> list[str]:
+    """The modules that ``--import`` names: they must be loaded before the names of methods and robots are known."""
+    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
+    _add_import(parser)
+    try:
+        return parser.parse_known_args(argv)[0].modules
+    except argparse.ArgumentError:
+        return []  # the whole parser says what is wrong
 
 
 def _budget_and_seed(parser: argparse.ArgumentParser) -> None:
@@ -146,19 +174,21 @@ def _train(args: argparse.Namespace) -> int:
 
         print(plan.report(config, plan.plan(config)))
         return 0
-    from qdil import hosts, run
-    from qdil.evidence import experiments, studies
-    from qdil.progress import Progress
+    from qdil.devices import hosts
+    from qdil.runs import studies
+    from qdil.runs.folder import folder_of
+    from qdil.runs.progress import Progress
+    from qdil.runs.train import train
 
     hosts.join()
     experiment = studies.name_of(args.method, args.env, args.budget, **changes)
-    folder = args.out or experiments.folder_of(experiment, args.env, args.budget, args.seed)
+    folder = args.out or folder_of(experiment, args.env, args.budget, args.seed)
     if not hosts.is_first():
-        run.train(config, folder, args.demos)
+        train(config, folder, args.demos)
         return 0
     progress = Progress(config)
     try:
-        trained = run.train(config, folder, args.demos, progress)
+        trained = train(config, folder, args.demos, progress)
     finally:
         progress.close()
     print(f"The run in {folder} is {'finished' if trained else 'already finished; nothing to do'}.")
@@ -167,12 +197,12 @@ def _train(args: argparse.Namespace) -> int:
 
 def _demos(args: argparse.Namespace) -> int:
     config = make_config(args.env, "true", args.budget, args.seed)
-    episodes = config.demo_episodes if args.episodes is None else args.episodes
+    episodes = config.demos.demo_episodes if args.episodes is None else args.episodes
     if episodes < 1:
         raise ConfigError(f"--episodes {episodes} must be at least 1.")
-    from qdil import run
+    from qdil.runs.demos import make_demos
 
-    path = run.make_demos(args.env, args.budget, episodes, args.seed, args.expert, args.out)
+    path = make_demos(args.env, args.budget, episodes, args.seed, args.expert, args.out)
     print(f"Wrote {episodes} demonstrations to {path}.")
     return 0
 
@@ -208,7 +238,7 @@ def _verify(args: argparse.Namespace) -> int:
 def _bench(args: argparse.Namespace) -> int:
     if args.rounds < 1:
         raise ConfigError(f"--rounds {args.rounds} must be at least 1.")
-    robots = args.env or list(ROBOTS)
+    robots = args.env or list(PAPER_ROBOTS)
     for env in robots:
         make_config(env, "true", args.budget)
     from qdil.tools import bench
@@ -224,19 +254,20 @@ def _bench(args: argparse.Namespace) -> int:
 
 
 def _study(args: argparse.Namespace) -> int:
-    from qdil.evidence import experiments
-    from qdil.progress import Progress
-    from qdil.run import is_finished
+    from qdil.runs import experiments
+    from qdil.runs.folder import folder_of, is_finished
+    from qdil.runs.missing import train_missing
+    from qdil.runs.progress import Progress
 
     make_config(args.env, "true", args.budget)
     names, seeds = experiments_of(args.names or STUDIES, args.budget), args.seed
     if args.dry_run:
         for name in names:
             for seed in seeds or experiments.SEEDS[args.budget]:
-                folder = experiments.folder_of(name, args.env, args.budget, seed)
+                folder = folder_of(name, args.env, args.budget, seed)
                 print(f"{'finished' if is_finished(folder) else 'missing':8}  {folder}")
         return 0
-    experiments.train_missing(names, args.env, args.budget, seeds, report=Progress)
+    train_missing(names, args.env, args.budget, seeds, report=Progress)
     return 0
 
 
@@ -273,11 +304,13 @@ COMMANDS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    args = _parser().parse_args(argv)
     # Imports and tracing make millions of objects that stay: looking for garbage among them is a tenth of a start.
     gc.set_threshold(100_000, 20, 20)
     atexit.register(gc.freeze)  # nor among them once more when the process ends
     try:
+        plugins.request(_imports(sys.argv[1:] if argv is None else argv))
+        args = _parser().parse_args(argv)
+        use_all_cores()
         return COMMANDS[args.command](args)
     except ConfigError as error:
         print(f"qdil: {error}", file=sys.stderr)

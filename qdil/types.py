@@ -1,8 +1,13 @@
-"""The values that travel between rollout, reward models and learning."""
+"""The values that travel between rollouts, reward models and learning."""
 
 from typing import Any, NamedTuple
 
 import jax
+
+Pytree = Any  # a tree of arrays whose structure is known to its owner alone
+Params = Pytree  # weights of a network
+RewardState = Pytree  # ψ: whatever a reward model has learned
+RewardMemory = Pytree  # what a reward model remembers within episodes, axis (E) in front; () for most
 
 
 class Transitions(NamedTuple):
@@ -23,27 +28,36 @@ class Transitions(NamedTuple):
         return self.terminated | self.truncated
 
 
-class Choice(NamedTuple):
-    """What PPO must remember of how an action was drawn; axes (T, E) in front."""
+class ActionSample(NamedTuple):
+    """How an action was drawn, for PPO; axes (T, E) in front."""
 
     raw_action: jax.Array  # (T, E, A) the Gaussian sample before clipping
     log_prob: jax.Array  # (T, E) its log density when it was drawn
 
 
+class Normaliser(NamedTuple):
+    """What turns observations into deviations from a mean."""
+
+    mean: jax.Array  # (O,)
+    std: jax.Array  # (O,)
+
+
 class ObsStats(NamedTuple):
-    """Running mean and spread of observations (Welford's sums), for normalising."""
+    """Running mean and spread of observations (Welford's sums)."""
 
     mean: jax.Array  # (O,)
     std: jax.Array  # (O,)
     summed_variance: jax.Array  # (O,)
     seen: jax.Array  # () observations so far
 
+    @property
+    def normaliser(self) -> Normaliser:
+        """The normaliser as it is now."""
+        return Normaliser(self.mean, self.std)
+
 
 class RewardContext(NamedTuple):
     """What a reward model may look at besides its own state."""
 
-    obs_stats: ObsStats  # the running normaliser, for demonstrations and policy data alike; GIRIL, PWIL keep their own
-    occupied: jax.Array  # (cells...) bool grid over the unit measure square: which archive cells are filled
-
-
-Params = Any  # a pytree of arrays
+    normaliser: Normaliser  # the policy's, for demonstrations and policy data alike; GIRIL and PWIL keep their own
+    occupied: jax.Array  # (cells, …) bool grid over the unit measure cube: which archive cells are filled

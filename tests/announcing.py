@@ -8,7 +8,9 @@ import sys
 import time
 from pathlib import Path
 
-from qdil import checkpoint, manifest, ppga, run
+from qdil.runs import checkpoint, manifest
+from qdil import ppga
+from qdil.runs.train import SAVE_EVERY, SAVE_SHARE, train
 from qdil.config import make_config
 
 WAIT = 0.15  # seconds: the test reads a line in much less, so that what it announces has not happened yet
@@ -33,8 +35,8 @@ def main() -> None:
         announced(module, name)
     for module, name in ((ppga, "reevaluate"), (manifest, "write"), (checkpoint, "remove")):
         announced(module, name)
-    run.SAVE_EVERY, run.SAVE_SHARE = 0.0, 1e9
-    run.train(make_config("walker2d", "true", "smoke", iterations=int(iterations)), Path(folder))
+    SAVE_EVERY, SAVE_SHARE = 0.0, 1e9
+    train(make_config("walker2d", "true", "smoke", iterations=int(iterations)), Path(folder))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import settings
 
 import qdil  # noqa: F401
-from qdil import compiled
+from qdil.engine import programs
 
 settings.register_profile("qdil", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("qdil")
@@ -22,7 +22,7 @@ def forget_programs():
     """Every compiled program stays mapped into memory, a map for each of its parts: forget them when they are many."""
     yield
     if MAPS.exists() and len(MAPS.read_text().splitlines()) > MANY_MAPS:
-        compiled.search_programs.cache_clear()
-        compiled.reward_programs.cache_clear()
+        programs.search_programs.cache_clear()
+        programs.reward_programs.cache_clear()
         jax.clear_caches()
         gc.collect()

@@ -8,7 +8,7 @@ import numpy as np
 
 from qdil.config import make_config, to_json
 from qdil.robots import brax_robots
-from qdil.search import networks
+from qdil.rl import networks
 
 CELLS = 5
 

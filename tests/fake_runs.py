@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from qdil import run
-from qdil.evidence.experiments import folder_of
+from qdil.runs.train import FIRST_COLUMNS
+from qdil.runs.experiments import folder_of
 from qdil.files import write_csv, write_npz
 
-COLUMNS = [*run.FIRST_COLUMNS, "c0"]
+COLUMNS = [*FIRST_COLUMNS, "c0"]
 
 
 def write_run(root: Path, env: str, experiment: str, seed: int, budget: str = "laptop", **final: float) -> Path:

@@ -12,7 +12,7 @@ from qdil.cli import COMMANDS, main
 def no_run(monkeypatch):
     """Any attempt to begin a run fails."""
     monkeypatch.delattr(qdil, "run", raising=False)
-    monkeypatch.setitem(sys.modules, "qdil.run", None)
+    monkeypatch.setitem(sys.modules, "qdil.runs.train", None)
 
 
 TRAIN = ["train", "--env", "walker2d", "--method", "gail", "--budget", "smoke"]

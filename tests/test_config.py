@@ -5,19 +5,8 @@ from dataclasses import asdict, fields, replace
 
 import pytest
 
-from qdil.config import (
-    BUDGETS,
-    ROBOTS,
-    Config,
-    ConfigError,
-    check,
-    from_json,
-    make_config,
-    parse_settings,
-    settings_help,
-    to_json,
-)
-from qdil.registry import Method, method_names, parse_method
+from qdil.config import BUDGETS, ROBOTS, Config, ConfigError, check, from_json, make_config, parse_settings, settings_help, to_json
+from qdil.methods import Method, method_names, parse_method
 
 PAPER = {
     "actor_hidden": (128, 128),
@@ -242,13 +231,13 @@ SIGNED = ("airl", "maxent", "zero")
 def test_archives_of_rewards_that_may_be_negative_start_low(env, budget, length, method):
     length = length or (200 if env == "halfcheetah" else 300)
     config = make_config(env, method, budget)
-    assert config.episode_length == length
-    assert (config.threshold_min == -10.0 * length) == (parse_method(method).base in SIGNED)
+    assert config.simulation.episode_length == length
+    assert (config.ppga.threshold_min == -10.0 * length) == (parse_method(method).base in SIGNED)
 
 
 def test_the_low_start_follows_the_episodes_length_and_gives_way():
-    assert make_config("walker2d", "mconbo-airl", "laptop", episode_length=7).threshold_min == -70
-    assert make_config("walker2d", "airl-obs", "laptop", threshold_min=3.0).threshold_min == 3
+    assert make_config("walker2d", "mconbo-airl", "laptop", episode_length=7).ppga.threshold_min == -70
+    assert make_config("walker2d", "airl-obs", "laptop", threshold_min=3.0).ppga.threshold_min == 3
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,8 @@ from qdil.config import make_config
 from qdil.finite import all_finite, is_smaller
 from qdil.robots import brax_robots
 from qdil.robots.environment import Environment, RobotState
-from qdil.search import archive, networks
+from qdil.qd import archive
+from qdil.rl import networks
 
 FLOATS = st.floats(width=32)
 
@@ -91,8 +92,8 @@ def test_a_candidate_that_diverges_enters_neither_archive_nor_normaliser(monkeyp
     assert not (elites["solution"][:, None] == diverged[None]).all(axis=-1).any()
     stats = search.state.stats
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(stats)) and float(stats.mean[0]) < FAR
-    windows = search.config.gradient_updates + search.config.walk_updates
-    assert float(stats.seen) == 4 * windows * search.config.window * search.config.num_envs
+    windows = search.config.ppga.gradient_updates + search.config.ppga.walk_updates
+    assert float(stats.seen) == 4 * windows * search.config.ppo.rollout_length * search.config.ppo.num_envs
     assert all(info["rolled_back"] == 0 for info in told)
 
 
@@ -102,20 +103,20 @@ def search():
 
 
 def test_a_training_phase_that_turns_bad_is_undone(search):
-    compiled = search.compiled
+    compiled = search.engine
     occupied = jnp.zeros((5, 5), bool)
     bad = jnp.eye(3).at[1, 1].set(jnp.nan)
     trained = compiled.train(search.state, occupied, bad, False, 1, 2)
     assert float(trained.info["rolled_back"]) == 1.0
-    theta = networks.flatten(search.state.learner.policy)
+    theta = networks.flatten(search.state.train_state.policy)
     np.testing.assert_array_equal(trained.theta, jnp.tile(theta, (3, 1)))
     for before, after in zip(
-        jax.tree.leaves((search.state.learner, search.state.stats)),
-        jax.tree.leaves((trained.state.learner, trained.state.stats)),
+        jax.tree.leaves((search.state.train_state, search.state.stats)),
+        jax.tree.leaves((trained.state.train_state, trained.state.stats)),
         strict=True,
     ):
         np.testing.assert_array_equal(before, after)
-    keys = [jax.random.key_data(state.actors.key) for state in (search.state, trained.state)]
+    keys = [jax.random.key_data(state.envs.key) for state in (search.state, trained.state)]
     assert (np.asarray(keys[0]) != np.asarray(keys[1])).any(axis=1).all()  # or it would go wrong in the same way again
     well = compiled.train(trained.state, occupied, jnp.eye(3), False, 1, 2)
     assert float(well.info["rolled_back"]) == 0.0 and bool(all_finite(well.theta))

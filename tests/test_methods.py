@@ -1,48 +1,254 @@
-"""Every method by its name on walker2d at smoke, from demonstrations of a robot that moves at random."""
+"""Names of methods, and reward models that join from elsewhere."""
+
+import subprocess
+import sys
+import textwrap
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from probes import ACTIONS, CONTEXT, OBS, PROXIES, built, demos_of, steps_of
 
-from qdil import ppga
+from qdil import methods
 from qdil.config import make_config
-from qdil.imitation.reward_model import Demonstrations
-from qdil.registry import bases, method_names, name_of, parse_method
-from qdil.robots import brax_robots
-from qdil.search import archive
-from qdil.search.rollout import start, window
+from qdil.errors import ConfigError
+from qdil.imitation.reward_model import InputModel, Inputs
+from qdil.methods import Method, describe, method_names, parse_method, register
+
+IMITATORS = ["gail", "vail", "airl", "giril", "pwil", "maxent"]
+OTHERS = ["true", "zero"]
 
 
-@pytest.fixture(scope="module")
-def demos() -> Demonstrations:
-    """An episode or more of random actions."""
-    env = brax_robots.make("walker2d")
-
-    def act(noise, obs):
-        return jnp.clip(noise, -1.0, 1.0), jnp.zeros(len(noise))
-
-    keys = jax.random.split(jax.random.key(0), 2)
-    _, steps, _ = jax.jit(lambda k: window(env, act, start(env, k, 50), 60, 50))(keys)
-    return Demonstrations(*(getattr(steps, n).reshape(-1, getattr(steps, n).shape[-1]) for n in Demonstrations._fields))
+@pytest.fixture
+def fresh(monkeypatch):
+    """The registry, with whatever the test adds to it forgotten afterwards."""
+    monkeypatch.setattr(registry, "_BASES", methods.bases())
+    yield
+    methods._load.cache_clear()
 
 
-@pytest.mark.parametrize("name", method_names())
-def test_every_method_trains(name, demos):
-    method = parse_method(name)
-    assert name_of(method) == name
-    config = make_config("walker2d", name, "smoke", giril_steps=20)
-    mine = demos._replace(action=demos.action[:, :0]) if method.obs_only else demos
-    search = ppga.begin(config, mine if bases()[method.base].imitates else None)
-    search, done, told = ppga.warm_up(search, 2)
-    assert (done, told) == (1, {"steps": config.window * config.num_envs, "rolled_back": 0.0})
-    search, info = ppga.iteration(search)
-    elites = archive.elite_arrays(search.archives)
-    assert len(elites["index"]) > 0 and np.isfinite(elites["fitness"]).all()
-    assert info["rolled_back"] == info.get("reward_rolled_back", 0.0) == info["not_finite"] == 0.0
-    if method.base == "true":
-        np.testing.assert_array_equal(elites["fitness"], elites["true_return"])
-    elif method.base == "zero":
-        assert not elites["fitness"].any()
-    else:
-        assert not np.allclose(elites["fitness"], elites["true_return"])
+# Names
+
+
+def test_every_base_has_its_variants_and_no_others():
+    names = {
+        base: {p + base + s for p in ("", "mbo-", "mcond-", "mconbo-") for s in ("", "-obs")} for base in IMITATORS
+    }
+    names |= {base: {base, f"mbo-{base}"} for base in OTHERS}
+    assert set(methods.bases()) == set(names)
+    for base, expected in names.items():
+        assert {name for name in method_names() if parse_method(name).base == base} == expected
+    assert len(method_names()) == len(set(method_names())) == 6 * 8 + 2 * 2
+    assert method_names()[0] == "true"
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [
+        ("airl-obs", Method("airl", False, False, True)),
+        ("mcond-giril-obs", Method("giril", True, False, True)),
+        ("mbo-pwil", Method("pwil", False, True, False)),
+        ("mconbo-maxent-obs", Method("maxent", True, True, True)),
+        ("mbo-zero", Method("zero", False, True, False)),
+    ],
+)
+def test_names_come_apart(name, method):
+    assert parse_method(name) == method and name in method_names()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mcond-true", "mconbo-true", "true-obs", "mbo-true-obs", "mcond-zero", "zero-obs", "mbo-mcond-gail",
+        "mcond-mbo-gail", "mbo-mbo-gail", "gail-obs-obs", "obs-gail", "-obs", "mbo--obs", "mbo-", "vail-mbo", "gail ",
+        "VAIL", "gail-Obs", "",
+    ],
+)  # fmt: skip
+def test_names_that_mean_nothing_are_refused(name):
+    assert name not in method_names()
+    with pytest.raises(ConfigError) as error:
+        parse_method(name)
+    sentence = str(error.value)
+    assert f"'{name}'" in sentence and sentence.endswith(".") and "\n" not in sentence
+
+
+@pytest.mark.parametrize(("name", "offered"), [("mcond-true", "mbo-true"), ("true-obs", "mbo-true"), ("gial", "gail")])
+def test_a_refusal_says_what_there_is(name, offered):
+    with pytest.raises(ConfigError, match=f"{offered}"):
+        parse_method(name)
+
+
+def test_descriptions_say_what_a_method_is():
+    said = {name: describe(name) for name in method_names()}
+    assert len(set(said.values())) == len(said) and all("\n" not in line for line in said.values())
+    for name, line in said.items():
+        method = parse_method(name)
+        assert line.startswith(methods.bases()[method.base].summary)
+        assert ("δ(s)" in line) == method.conditioned
+        assert ("actions hidden" in line) == method.obs_only
+        assert ("plus the measure bonus" in line) == method.bonus
+
+
+# Models from elsewhere
+
+
+def centre(config, widths):
+    """Minus the distance to the demonstrations' mean, which it learns in small steps."""
+
+    def joined(inputs):
+        return jnp.concatenate([inputs.obs, inputs.action, inputs.proxy], axis=-1)
+
+    def update(key, state, expert, policy):
+        off = joined(expert).mean(axis=0) - state
+        return state + 0.1 * off, {"off": jnp.linalg.norm(off)}
+
+    return InputModel(
+        init=lambda key, expert: jnp.zeros(widths.obs + widths.action + widths.proxy),
+        begin=lambda state, num_envs: (),
+        reward=lambda state, carry, inputs, ended: (carry, -jnp.linalg.norm(joined(inputs) - state, axis=-1)),
+        update=update,
+    )
+
+
+def test_a_new_model_gets_all_variants_and_trains(fresh):
+    assert register("centre", "minus the distance to the middle of the demonstrations", signed=True)(centre) is centre
+    added = [name for name in method_names() if parse_method(name).base == "centre"]
+    assert added == method_names()[-8:] and "mconbo-centre-obs" in added
+    rng = np.random.default_rng(0)
+    expert, policy = steps_of(rng, shift=2.0), steps_of(rng)
+    for name in added:
+        method, model = parse_method(name), built(name)
+        state = model.init(jax.random.key(0), demos_of(expert))
+        seen = OBS + (0 if method.obs_only else ACTIONS) + (PROXIES if method.conditioned else 0)
+        assert state.inner.shape == (seen,)
+        offs = []
+        for _ in range(20):
+            state, info = model.update(jax.random.key(0), state, CONTEXT, demos_of(expert), policy)
+            offs.append(float(info["off"]))
+        on_expert, on_policy = (model.reward(state, (), CONTEXT, steps)[1] for steps in (expert, policy))
+        assert on_expert.shape == (8, 16) and on_expert.mean() > on_policy.mean()
+        assert offs[-1] < 0.2 * offs[0]
+
+
+def test_a_model_is_told_how_wide_its_inputs_are(fresh):
+    told = []
+
+    def nosy(config, widths):
+        told.append((config.method, widths))
+        return centre(config, widths)
+
+    register("nosy", "a model that remembers what it is told")(nosy)
+    for name in ("nosy", "mconbo-nosy", "nosy-obs", "mcond-nosy-obs"):
+        built(name)
+    assert told == [
+        ("nosy", Inputs(OBS, ACTIONS, OBS, 0)),
+        ("mconbo-nosy", Inputs(OBS, ACTIONS, OBS, PROXIES)),
+        ("nosy-obs", Inputs(OBS, 0, OBS, 0)),
+        ("mcond-nosy-obs", Inputs(OBS, 0, OBS, PROXIES)),
+    ]
+
+
+def test_the_example_in_the_documentation_works(fresh):
+    text = register.__doc__
+    example = textwrap.dedent(text[text.index("        @register") : text.index("    Import the module")])
+    exec(example, {"register": register, "InputModel": InputModel, "jnp": jnp})
+    rng = np.random.default_rng(0)
+    expert, policy = steps_of(rng, time=2, envs=3), steps_of(rng, time=2, envs=3)
+    model = built("mbo-nearest-obs")
+    state = model.init(jax.random.key(0), demos_of(expert))
+    state, _ = model.update(jax.random.key(0), state, CONTEXT, demos_of(expert), policy)
+    _, paid = model.reward(state, model.begin(state, 3), CONTEXT, policy)
+    mean, std = CONTEXT.obs_stats.mean, CONTEXT.obs_stats.std
+    raw = np.asarray(demos_of(expert).obs, float)
+    rows, steps = (raw - raw.mean(0)) / raw.std(0), (np.asarray(policy.obs, float) - mean) / std
+    for t, e in np.ndindex(2, 3):
+        assert paid[t, e] == pytest.approx(-min(np.linalg.norm(steps[t, e] - row) for row in rows), rel=1e-3)
+
+
+def test_a_model_without_inputs_has_no_variants_of_them(fresh):
+    register("still", "a reward for nothing", imitates=False)(lambda config: None)
+    assert [name for name in method_names() if "still" in name] == ["still", "mbo-still"]
+    for name in ("mcond-still", "still-obs"):
+        with pytest.raises(ConfigError, match="mbo-still"):
+            parse_method(name)
+
+
+def test_a_hyphen_in_a_name_is_no_variant(fresh):
+    register("far-off", "a name of two words")(centre)
+    assert parse_method("mconbo-far-off-obs") == Method("far-off", True, True, True)
+    assert parse_method("far-off") == Method("far-off", False, False, False)
+
+
+@pytest.mark.parametrize(("signed", "threshold"), [(True, -10.0 * 50), (False, 0.0)])
+def test_an_archive_of_signed_rewards_starts_low(fresh, signed, threshold):
+    register("centre", "a model", signed=signed)(centre)
+    for name in ("centre", "mconbo-centre-obs"):
+        assert make_config("walker2d", name, "smoke").ppga.threshold_min == threshold
+
+
+@pytest.mark.parametrize("name", ["x-obs", "mbo-x", "mcond-x", "mconbo-x", "mbo-gail", "gail-obs"])
+def test_names_that_look_like_variants_cannot_be_taken(fresh, name):
+    with pytest.raises(ValueError, match="variant"):
+        register(name, "a model")(centre)
+    assert name not in methods.bases()
+
+
+def test_names_that_are_taken_stay_so(fresh):
+    theirs = methods.bases()["gail"]
+    with pytest.raises(ValueError, match="already.*'gail'"):
+        register("gail", "a model")(centre)
+    assert methods.bases()["gail"] == theirs
+    register("gail", theirs.summary)(theirs.build)  # the same again, as when a module is read twice, does no harm
+
+
+def test_installed_packages_are_found_by_their_entry_points(fresh, tmp_path, monkeypatch):
+    (tmp_path / "qdil_elsewhere.py").write_text(
+        "from qdil.methods import register\n\n\n"
+        "@register('elsewhere', 'from another package')\n"
+        "def elsewhere(config, widths):\n    return None\n"
+    )
+    info = tmp_path / "qdil_elsewhere-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: qdil-elsewhere\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{methods.ENTRY_POINTS}]\nany = qdil_elsewhere\n")
+    assert "elsewhere" not in methods.bases()
+    monkeypatch.syspath_prepend(tmp_path)
+    methods._load.cache_clear()
+    try:
+        assert parse_method("mcond-elsewhere-obs") == Method("elsewhere", True, False, True)
+        assert methods.bases()["elsewhere"].build is sys.modules["qdil_elsewhere"].elsewhere
+    finally:
+        sys.modules.pop("qdil_elsewhere", None)
+
+
+def test_a_package_that_cannot_be_read_is_named(fresh, tmp_path, monkeypatch):
+    (tmp_path / "qdil_broken.py").write_text("raise RuntimeError('half installed')\n")
+    info = tmp_path / "qdil_broken-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: qdil-broken\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{methods.ENTRY_POINTS}]\nbroken = qdil_broken\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    methods._load.cache_clear()
+    with pytest.raises(ConfigError, match="'broken' cannot be loaded.*half installed"):
+        methods.bases()
+
+
+@pytest.mark.parametrize("name", ["", "two words", "a/b", "../up", "Gail", "1st"])
+def test_names_that_cannot_name_a_folder_are_refused(fresh, name):
+    with pytest.raises(ValueError, match="cannot name a reward model"):
+        register(name, "a model")(centre)
+
+
+def test_the_papers_come_first_and_keep_their_names_whoever_is_read_first():
+    program = """
+        from qdil.methods import method_names, register
+        try:
+            register("gail", "a model")(lambda config, widths: None)
+        except ValueError as error:
+            print(error)
+        register("early", "a model")(lambda config, widths: None)
+        print(method_names()[0], method_names()[-1])
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["there is already a reward model called 'gail'.", "true mconbo-early-obs"]

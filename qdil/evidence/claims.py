@@ -7,15 +7,16 @@ of them must hold on a robot for the claim to be reproduced there. ``docs/claims
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from qdil import run
-from qdil.config import BUDGETS, ROBOTS, ConfigError
+from qdil.config import BUDGETS, ConfigError
 from qdil.evidence import tables
 from qdil.evidence.paper import METRICS
 from qdil.evidence.readings import READINGS
 from qdil.evidence.report import markdown, overview, plain, table, write
-from qdil.evidence.studies import STUDIES
 from qdil.evidence.verdicts import SMALL_MDP, Claim, Finding, Part, Verdict, find
-from qdil.lemma import record
+from qdil.lab.lemma import record
+from qdil.robots.register import PAPER_ROBOTS
+from qdil.runs.folder import RESULTS
+from qdil.runs.studies import STUDIES
 
 __all__ = ["CLAIMS", "Claim", "Verdict", "judge", "markdown", "overview", "plain", "table", "write"]
 
@@ -40,17 +41,17 @@ ABOVE_RULE = "The interval of the difference lies above 0."
 MARGIN_RULE = f"{MARGIN:.0%} of the reference's mean"
 
 CLAIMS = (
-    Claim("C1", "MConbo-GAIL beats GAIL on QD-score", "Fig. 5, Table 1", ROBOTS,
+    Claim("C1", "MConbo-GAIL beats GAIL on QD-score", "Fig. 5, Table 1", PAPER_ROBOTS,
           _above(MCONBO, GAIL, "qd_score"), ABOVE_RULE),
-    Claim("C2", "MConbo-VAIL beats VAIL on QD-score", "Fig. 8, Table 1", ROBOTS,
+    Claim("C2", "MConbo-VAIL beats VAIL on QD-score", "Fig. 8, Table 1", PAPER_ROBOTS,
           _above("mconbo-vail", "vail", "qd_score"), ABOVE_RULE),
-    Claim("C3", "MConbo-GAIL's coverage is near 100 %, above the expert's", "Fig. 5", ROBOTS,
+    Claim("C3", "MConbo-GAIL's coverage is near 100 %, above the expert's", "Fig. 5", PAPER_ROBOTS,
           (Part("at least", MCONBO, (), "coverage", NEAR_ALL), *_above(MCONBO, "true", "coverage")),
           f"The interval of the coverage lies at or above {NEAR_ALL:.0%}, which the paper calls near 100 % on walker2d "
           "(91.7 %), and that of the difference to the expert's above 0."),
     Claim("C4", "MConbo-GAIL reaches or passes the expert's QD-score", "Fig. 5", WALKER_HUMANOID,
           _not_below(MCONBO, "true", 0.0, "qd_score"), "The interval of the difference lies at or above 0."),
-    Claim("C5", "MConbo-GAIL beats AIRL, GIRIL, PWIL and Max-Ent on QD-score", "Table 1", ROBOTS,
+    Claim("C5", "MConbo-GAIL beats AIRL, GIRIL, PWIL and Max-Ent on QD-score", "Table 1", PAPER_ROBOTS,
           tuple(part for base in ("airl", "giril", "pwil", "maxent") for part in _above(MCONBO, base, "qd_score")),
           ABOVE_RULE),
     Claim("C6", "MConbo-GAIL beats GAIL on average return", "Fig. 5", WALKER_HUMANOID,
@@ -58,15 +59,15 @@ CLAIMS = (
     Claim("C7", "Without the bonus every metric falls", "Fig. 7", WALKER, _above(MCONBO, MCOND, *METRICS),
           "MCond-GAIL is MConbo-GAIL without the bonus. The intervals of all four metrics' differences lie above 0."),
     Claim("C8", "MCond-GAIL is no worse than GAIL, and MConbo-GAIL beats MCond-GAIL, on coverage and QD-score",
-          "Fig. 11, Table 9", ROBOTS,
+          "Fig. 11, Table 9", PAPER_ROBOTS,
           (*_not_below(MCOND, GAIL, MARGIN, "qd_score", "coverage"), *_above(MCONBO, MCOND, "qd_score", "coverage")),
           f"No worse: the interval of the difference lies above a loss of {MARGIN_RULE} (the paper calls such scores "
           "comparable on two robots). Beats: above 0."),
-    Claim("C9", "p = 0.5, q = 1 is the best of the grid", "Fig. 10", ROBOTS,
+    Claim("C9", "p = 0.5, q = 1 is the best of the grid", "Fig. 10", PAPER_ROBOTS,
           (Part("best of", BEST, tuple(e for e in STUDIES["p-and-q"] if e != BEST), "qd_score"),),
           "QD-score against the best of the other eight points of p, q = 0, 0.5, 1: the interval of the difference "
           "lies above 0. The paper's text names neither its robot nor its grid."),
-    Claim("C10", "Without expert actions the loss is marginal", "Fig. 15, Table 2", ROBOTS,
+    Claim("C10", "Without expert actions the loss is marginal", "Fig. 15, Table 2", PAPER_ROBOTS,
           _not_below(f"{MCONBO}-obs", MCONBO, MARGIN, *METRICS),
           f"In all four metrics the interval of the difference lies above a loss of {MARGIN_RULE}."),
     Claim("C11", "With 2 or 1 demonstrations coverage holds, QD-score falls, and MConbo-GAIL still beats GAIL",
@@ -81,14 +82,14 @@ CLAIMS = (
     Claim("C13", "The bonus improves PPGA with the true reward, which then beats MConbo-GAIL", "Fig. 16", ("humanoid",),
           (*_above("mbo-true", "true", "qd_score"), *_above("mbo-true", MCONBO, "qd_score")),
           f"On QD-score. {ABOVE_RULE}"),
-    Claim("C14", "PPO on 1[m ∈ A_e] alone does not lower P(m ∈ A_e | π), on average", "Lemma 1", ROBOTS,
+    Claim("C14", "PPO on 1[m ∈ A_e] alone does not lower P(m ∈ A_e | π), on average", "Lemma 1", PAPER_ROBOTS,
           (Part("at least", "PPO", (), LEMMA),),
           "The probability after PPO minus that before: exactly, after one update, on small problems (mdp; mdp-falls: "
           "episodes may end early, which the proof excludes), and by sampling, after as many updates as the table "
           "says, on robots, where a seed's archives share its policy and give one number, their mean. The interval "
           "of the mean lies at or above 0. So it is an average that is judged: the lemma promises more, that no "
           "single improvement lowers the probability, and the table says in how many trials it fell."),
-    Claim("C15", "With the bonus, c₀ rises while cells are being found", "Appendix G", ROBOTS,
+    Claim("C15", "With the bonus, c₀ rises while cells are being found", "Appendix G", PAPER_ROBOTS,
           (Part("more than", MCONBO, (), "c0_rise"), *_above(MCONBO, MCOND, "c0_rise")),
           "By how much |c₀| of the xNES mean moves in an iteration that fills new cells, on average (iterations that "
           "xNES begins anew left out): its interval lies above 0, and that of the difference to MCond-GAIL, which has "
@@ -97,21 +98,21 @@ CLAIMS = (
           (Part("below", MCONBO, (GAIL,), "roughness"), Part("below", MCONBO, ("true",), "roughness")),
           "The mean difference between returns of neighbouring filled cells, over the mean size of a return, is lower "
           "than GAIL's and than the expert's: the intervals lie below 0."),
-    Claim("Q1a", "p alone, without imitation, raises the QD-score over no reward at all", "ours", ROBOTS,
+    Claim("Q1a", "p alone, without imitation, raises the QD-score over no reward at all", "ours", PAPER_ROBOTS,
           _above("mbo-zero+bonus_q=0.0", "zero", "qd_score"), ABOVE_RULE),
-    Claim("Q1b", "q alone, without imitation, raises the QD-score over no reward at all", "ours", ROBOTS,
+    Claim("Q1b", "q alone, without imitation, raises the QD-score over no reward at all", "ours", PAPER_ROBOTS,
           _above("mbo-zero+bonus_p=0.0", "zero", "qd_score"), ABOVE_RULE),
-    Claim("Q1c", "p and q, without imitation, raise the QD-score over no reward at all", "ours", ROBOTS,
+    Claim("Q1c", "p and q, without imitation, raise the QD-score over no reward at all", "ours", PAPER_ROBOTS,
           _above("mbo-zero", "zero", "qd_score"), ABOVE_RULE),
-    Claim("Q1d", "MConbo-GAIL beats GAIL on QD-score without paying for survival (p = 0)", "ours", ROBOTS,
+    Claim("Q1d", "MConbo-GAIL beats GAIL on QD-score without paying for survival (p = 0)", "ours", PAPER_ROBOTS,
           _above(f"{MCONBO}+bonus_p=0.0", GAIL, "qd_score"), ABOVE_RULE),
-    Claim("Q1e", "MConbo-GAIL has a higher QD-score with p than without", "ours", ROBOTS,
+    Claim("Q1e", "MConbo-GAIL has a higher QD-score with p than without", "ours", PAPER_ROBOTS,
           _above(MCONBO, f"{MCONBO}+bonus_p=0.0", "qd_score"), ABOVE_RULE),
-    Claim("Q2", "Selection by the true return gives a higher QD-score than by the learned one", "ours", ROBOTS,
+    Claim("Q2", "Selection by the true return gives a higher QD-score than by the learned one", "ours", PAPER_ROBOTS,
           _above(f"{MCONBO}+selection=true", MCONBO, "qd_score"), ABOVE_RULE),
-    Claim("Q3", "The weighted walk gives a higher QD-score than the unweighted one", "ours", ROBOTS,
+    Claim("Q3", "The weighted walk gives a higher QD-score than the unweighted one", "ours", PAPER_ROBOTS,
           _above(MCONBO, f"{MCONBO}+walk_weights=fitness", "qd_score"), ABOVE_RULE),
-    Claim("Q4", "MConbo helps every base: AIRL, GIRIL, PWIL and Max-Ent, on QD-score", "ours", ROBOTS,
+    Claim("Q4", "MConbo helps every base: AIRL, GIRIL, PWIL and Max-Ent, on QD-score", "ours", PAPER_ROBOTS,
           tuple(part for base in ("airl", "giril", "pwil", "maxent")
                 for part in _above(f"mconbo-{base}", base, "qd_score")), ABOVE_RULE),
 )  # fmt: skip
@@ -123,7 +124,7 @@ def experiments_needed(claims: Iterable[Claim] = CLAIMS) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for part in parts for name in (part.ours, *part.against)))
 
 
-def judge(root: Path = run.RESULTS, budget: str = "laptop", envs: Sequence[str] | None = None) -> list[Verdict]:
+def judge(root: Path = RESULTS, budget: str = "laptop", envs: Sequence[str] | None = None) -> list[Verdict]:
     """Judge every claim on every robot (or those of ``envs``) from the runs of one budget that are finished.
 
     All finished seeds count. Lemma 1 is judged on every problem that its results file names. Raises ConfigError for a
@@ -131,13 +132,13 @@ def judge(root: Path = run.RESULTS, budget: str = "laptop", envs: Sequence[str] 
     """
     if budget not in BUDGETS:
         raise ConfigError(f"unknown budget '{budget}'; choose one of {', '.join(BUDGETS)}.")
-    robots = tuple(ROBOTS if envs is None else envs)
-    unknown = [env for env in robots if env not in ROBOTS]
+    robots = tuple(PAPER_ROBOTS if envs is None else envs)
+    unknown = [env for env in robots if env not in PAPER_ROBOTS]
     if unknown:
-        raise ConfigError(f"unknown robot '{unknown[0]}'; choose one of {', '.join(ROBOTS)}.")
+        raise ConfigError(f"unknown robot '{unknown[0]}'; choose one of {', '.join(PAPER_ROBOTS)}.")
     changes = _lemma(budget, root)
     values = {env: _values(env, budget, root) for env in robots}
-    problems = dict.fromkeys((SMALL_MDP, *(name for name in changes if name not in ROBOTS)))
+    problems = dict.fromkeys((SMALL_MDP, *(name for name in changes if name not in PAPER_ROBOTS)))
     values = {**{name: {} for name in problems}, **values}
     return [
         Verdict(claim, env, tuple(_find(part, values[env], changes.get(env)) for part in claim.parts))

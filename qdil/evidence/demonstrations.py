@@ -6,30 +6,36 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from qdil import run
-from qdil.config import ROBOTS, ConfigError, make_config
-from qdil.evidence.experiments import EXPERT_SEED
-from qdil.robots.brax_robots import ROBOTS as FEET_OF
+from qdil.config import make_config
+from qdil.errors import ConfigError
+from qdil.robots import register
+from qdil.runs.demos import make_demos
+from qdil.runs.experiments import EXPERT_SEED
+from qdil.runs.folder import RESULTS, demos_path, folder_of
 
 Demos = dict[str, np.ndarray]  # a demonstrations file's columns, a row per step, and what it says per episode
 
 
-def of_robots(budget: str, root: Path = run.RESULTS) -> dict[str, Demos]:
+def of_robots(budget: str, root: Path = RESULTS) -> dict[str, Demos]:
     """The demonstrations of the budget's usual number, by robot, of those robots that have a file."""
     paths = {
-        env: run.demos_path(budget, env, make_config(env, "true", budget).demo_episodes, root) for env in sorted(ROBOTS)
+        env: demos_path(budget, env, make_config(env, "true", budget).demos.demo_episodes, root)
+        for env in sorted(register.robot_names())
     }
     return {env: read(path) for env, path in paths.items() if path.is_file()}
 
 
-def record_missing(env: str, budget: str, root: Path = run.RESULTS) -> str:
+def record_missing(env: str, budget: str, root: Path = RESULTS) -> str:
     """Record a robot's demonstrations if there are none and its expert's policies are here; what happened, in words."""
     expert = make_config(env, "true", budget, EXPERT_SEED)
-    path, folder = run.demos_path(budget, env, expert.demo_episodes, root), run.folder_of(expert, root)
+    path, folder = (
+        demos_path(budget, env, expert.demos.demo_episodes, root),
+        folder_of("true", env, budget, expert.seed, root),
+    )
     if path.is_file():
         return f"loaded, they were recorded earlier: {path}"
     try:
-        run.make_demos(env, budget, expert.demo_episodes, EXPERT_SEED, folder, path)
+        make_demos(env, budget, expert.demos.demo_episodes, EXPERT_SEED, folder, path)
     except ConfigError as error:
         return f"none recorded: {error}"
     return f"recorded just now: {path}"
@@ -49,7 +55,7 @@ def episodes(demos: Demos, robot: str) -> pd.DataFrame:
         "return": demos["episode_return"].astype(float),
         "return in the archive": demos["elite_return"].astype(float),
     }
-    for j, foot in enumerate(FEET_OF[robot].feet):
+    for j, foot in enumerate(register.find(robot).measure_names):
         table[f"{foot} down"], table[f"{foot} down in the archive"] = recorded[:, j], elite[:, j]
     return pd.DataFrame(table, index=pd.RangeIndex(1, len(recorded) + 1, name="demonstration"))
 

@@ -5,18 +5,19 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from qdil import plotting, run
+from qdil import plotting
 from qdil.config import ConfigError, make_config
 from qdil.evidence import tables
-from qdil.evidence.experiments import finished
-from qdil.evidence.studies import STUDIES, experiments_of
 from qdil.evidence.tables import Runs
 from qdil.files import replace_file
-from qdil.registry import method_names
+from qdil.methods import method_names
+from qdil.runs.experiments import finished
+from qdil.runs.folder import RESULTS, read_archive
+from qdil.runs.studies import STUDIES, experiments_of
 
 
 def finished_runs(
-    env: str, budget: str, root: Path = run.RESULTS, seeds: Sequence[int] | None = None
+    env: str, budget: str, root: Path = RESULTS, seeds: Sequence[int] | None = None
 ) -> dict[str, list[Path]]:
     """Folders of one robot's finished runs (of ``seeds``, or of all) by experiment: methods first, then settings."""
     names = dict.fromkeys((*method_names(), *experiments_of(STUDIES, budget)))
@@ -53,7 +54,7 @@ def draw(runs: Runs, env: str) -> dict[str, Figure]:
     main = of_study(runs, "main") or runs
     metrics = tables.read_metrics(main)
     figures = {f"curves-{x}": plotting.learning_curves(metrics, x) for x in plotting.X_LABELS}
-    first = {name: run.read_archive(folders[0]) for name, folders in main.items()}
+    first = {name: read_archive(folders[0]) for name, folders in main.items()}
     figures["archives"] = plotting.archives_side_by_side(first, robot=env)
     for study in STUDIES:
         mine = of_study(runs, study)
@@ -65,7 +66,7 @@ def draw(runs: Runs, env: str) -> dict[str, Figure]:
     return figures
 
 
-def write_figures(env: str, budget: str, seeds: Sequence[int] | None = None, root: Path = run.RESULTS) -> list[Path]:
+def write_figures(env: str, budget: str, seeds: Sequence[int] | None = None, root: Path = RESULTS) -> list[Path]:
     """Draw the finished runs of ``seeds`` (None: of all), each figure as PNG and PDF, and two tables.
 
     Returns the files written. Raises ConfigError where there is no finished run to draw.

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from qdil import run
-from qdil.config import SPEED_ALONE, to_json
+from qdil.config import SPEED_ONLY, to_json
 from qdil.evidence import tables
-from qdil.evidence.studies import config_of
+from qdil.runs.folder import RESULTS, read_config
+from qdil.runs.studies import config_of
 
 LEMMA_FILE = "lemma.json"  # the results of Lemma 1's experiments, beside a budget's runs
 
@@ -28,15 +28,15 @@ def origin(experiment: str, folder: Path, env: str, budget: str) -> Origin:
     """Read a run's manifest and settings. Settings that it knows nothing of are left out."""
     seed = tables.seed_of(folder)
     manifest: dict[str, Any] = json.loads((folder / "manifest.json").read_text())
-    config, was = config_of(experiment, env, budget, seed), run.read_config(folder)
+    config, was = config_of(experiment, env, budget, seed), read_config(folder)
     today = to_json(config)
-    other = (name for name in was if name in today and was[name] != today[name] and name not in SPEED_ALONE)
+    other = (name for name in was if name in today and was[name] != today[name] and name not in SPEED_ONLY)
     shown = manifest.get("demonstrations_sha256")
-    demonstrations = (config.demo_episodes, shown) if shown else None
+    demonstrations = (config.demos.demo_episodes, shown) if shown else None
     return Origin(experiment, seed, _short(manifest), tuple(other), demonstrations)
 
 
-def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root: Path = run.RESULTS) -> str:
+def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root: Path = RESULTS) -> str:
     """A list in Markdown, an item per robot that has runs: seeds, commits, and what is not the same for all."""
     lines = []
     for env in envs:

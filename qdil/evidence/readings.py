@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from qdil import run
 from qdil.evidence import tables
+from qdil.runs.folder import read_archive
 
 
 def c0_rise(metrics: pd.DataFrame) -> float:
@@ -43,7 +43,7 @@ def _final(name: str) -> Callable[[Path], float]:
 READINGS: dict[str, Callable[[Path], float]] = {
     **{name: _final(name) for name in ("qd_score", "coverage", "best", "average")},
     "c0_rise": lambda folder: c0_rise(pd.read_csv(folder / "metrics.csv")),
-    "roughness": lambda folder: roughness(run.read_archive(folder)),
+    "roughness": lambda folder: roughness(read_archive(folder)),
 }
 NAMES = {
     **tables.COLUMNS,

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from qdil import run
-from qdil.config import ROBOTS
 from qdil.evidence import paper, provenance, stats, tables
 from qdil.evidence.readings import NAMES
-from qdil.evidence.studies import STUDIES
 from qdil.evidence.verdicts import KINDS, NO_RUNS, Finding, Part, Verdict
 from qdil.files import replace_file
-from qdil.lemma.trials import ROUNDING
+from qdil.lab.lemma.trials import ROUNDING
 from qdil.plotting.style import label
+from qdil.robots.register import PAPER_ROBOTS
+from qdil.runs.folder import RESULTS
+from qdil.runs.studies import STUDIES
 
 HOW_TO_READ = """\
 *Reproduced*: the 95 % stratified bootstrap interval over seeds says so. *Not reproduced*: it says the opposite.
@@ -39,7 +39,7 @@ def words(verdict: Verdict, said: str | None = None) -> str:
 
 def overview(verdicts: Sequence[Verdict]) -> pd.DataFrame:
     """A row per claim, a column per robot (and the small problem of Lemma 1): the verdict alone."""
-    envs = sorted({v.env for v in verdicts}, key=lambda env: ([*ROBOTS, env].index(env), env))
+    envs = sorted({v.env for v in verdicts}, key=lambda env: ([*PAPER_ROBOTS, env].index(env), env))
     rows: dict[str, dict[str, str]] = {}
     for v in verdicts:
         row = rows.setdefault(v.claim.id, {"claim": v.claim.sentence, "where": v.claim.where} | dict.fromkeys(envs, ""))
@@ -165,7 +165,7 @@ def plain(verdicts: Sequence[Verdict]) -> str:
     return "\n".join([markdown_table(short), note, "", *(lines or ["There are no runs to compare."])])
 
 
-def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = run.RESULTS) -> str:
+def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> str:
     """The page ``claims.md``: verdicts, comparisons, the runs behind them, and every claim's rule."""
     details, claims = table(verdicts), dict.fromkeys(v.claim for v in verdicts)
     names = dict.fromkeys(n for claim in claims for part in claim.parts for n in (part.ours, *part.against))
@@ -207,12 +207,12 @@ def over_robots(envs: Iterable[str], budget: str, root: Path) -> str:
     return f"{explained}\n\n{markdown_table(pd.DataFrame(shown))}"
 
 
-def page_of(budget: str, root: Path = run.RESULTS) -> Path:
+def page_of(budget: str, root: Path = RESULTS) -> Path:
     """Where a budget's verdicts are kept: the laptop's are the repository's, others lie with their own runs."""
     return root / "claims.md" if budget == "laptop" else root / budget / "claims.md"
 
 
-def write(verdicts: Sequence[Verdict], budget: str, root: Path = run.RESULTS) -> Path:
+def write(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> Path:
     """Write ``markdown`` to ``page_of`` the budget and return its path."""
     path, content = page_of(budget, root), markdown(verdicts, budget, root).encode()
     replace_file(path, lambda file: file.write(content))

@@ -18,7 +18,7 @@ def ours(runs: tables.Runs, env: str, budget: str) -> pd.DataFrame:
     rows = []
     for name, group in tables.final(runs).groupby(level="experiment", sort=False):
         method, *settings = str(name).split("+")
-        count = make_config(env, method, budget, **parse_settings(settings)).demo_episodes
+        count = make_config(env, method, budget, **parse_settings(settings)).demos.demo_episodes
         for metric in paper.METRICS:
             values = group[metric].to_numpy()
             rows.append([method, count, metric, values.mean(), values.std(ddof=1) if len(values) > 1 else np.nan])

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from qdil import run
-from qdil.config import ROBOTS
 from qdil.evidence import paper, stats
-from qdil.evidence.experiments import finished
+from qdil.robots.register import PAPER_ROBOTS
+from qdil.runs.experiments import finished
+from qdil.runs.folder import RESULTS, read_archive
 
 Runs = Mapping[str, Sequence[Path]]
 
@@ -35,7 +35,7 @@ FORMS = {
 }
 
 
-def finished_seeds(names: Iterable[str], env: str, budget: str, root: Path = run.RESULTS) -> dict[str, list[Path]]:
+def finished_seeds(names: Iterable[str], env: str, budget: str, root: Path = RESULTS) -> dict[str, list[Path]]:
     """``experiments.finished`` with every seed that any run there has, and not the budget's own alone."""
     names = tuple(names)
     found = {path.name for name in names for path in (root / budget / env / name).glob("seed-*")}
@@ -69,7 +69,7 @@ def _last(folder: Path) -> dict[str, float]:
     last = pd.read_csv(folder / "metrics.csv").iloc[-1]
     return {
         **{name: float(last[name]) for name in ("qd_score", "coverage", "best", "average")},
-        "rescored_average": float(run.read_archive(folder)["rescored_return"].mean()),
+        "rescored_average": float(read_archive(folder)["rescored_return"].mean()),
         "million_steps": float(last["env_steps"]) / 1e6,
         "minutes": float(last["wall_seconds"]) / 60,
     }
@@ -169,7 +169,7 @@ def share_of_expert(runs: Mapping[str, Runs], metric: str = "qd_score") -> pd.Da
     return table.rename(columns={"estimate": "share"}).rename_axis("experiment")
 
 
-def later_paper(envs: Sequence[str] = ROBOTS, methods: Sequence[str] | None = None) -> pd.DataFrame:
+def later_paper(envs: Sequence[str] = PAPER_ROBOTS, methods: Sequence[str] | None = None) -> pd.DataFrame:
     """The table of the paper's later version, texts: a row per robot and method, or those of ``methods`` alone."""
     found = paper.numbers()
     found = found[(found["origin"] == paper.LATER) & found["environment"].isin(envs)]

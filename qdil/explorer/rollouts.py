@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdil.rl import networks
+from qdil.rl.evaluate import Policies
+from qdil.rl.rollout import where_each
 from qdil.robots import brax_robots
 from qdil.robots.environment import RobotState
-from qdil.search import networks
-from qdil.search.evaluate import Policies
-from qdil.search.rollout import where_each
 from qdil.types import ObsStats
 
 BATCH = 4  # episodes simulated together: as many as are shown side by side, so that a click and a pack share a program

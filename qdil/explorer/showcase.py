@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from qdil import run
 from qdil.explorer import shown as showing
 from qdil.files import sha256, write_json, write_npz
+from qdil.runs.folder import RESULTS, read_archive, read_config
 
-FOLDER = run.RESULTS / "showcase"
+FOLDER = RESULTS / "showcase"
 
 
 def keep(folder: Path, root: Path = FOLDER) -> Path:
@@ -19,7 +19,7 @@ def keep(folder: Path, root: Path = FOLDER) -> Path:
     Half the size, and a policy rounded so walks as it did, up to what another start state changes as well. The measures
     of its demonstrators are kept beside it. Raises ConfigError for a run that is not finished or has no policies.
     """
-    config, archive = run.read_config(folder), run.read_archive(folder, policies=True)
+    config, archive = read_config(folder), read_archive(folder, policies=True)
     target = root / config["env"] / config["method"] / f"seed-{config['seed']}"
     write_npz(target / "archive.npz", **{name: archive[name] for name in showing.NEEDED})
     policies = {name: archive[name] for name in ("index", "obs_mean", "obs_std")}

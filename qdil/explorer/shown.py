@@ -8,15 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdil import run
 from qdil.errors import ConfigError
 from qdil.explorer import rollouts
 from qdil.explorer.names import title
 from qdil.explorer.rollouts import Rollout
 from qdil.imitation.demos import farthest_points, top_fifth
-from qdil.robots import brax_robots, shapes
-from qdil.robots.brax_robots import ROBOTS
-from qdil.search.evaluate import Policies
+from qdil.rl.evaluate import Policies
+from qdil.robots import brax_robots, register, shapes
+from qdil.runs.folder import read_archive, read_config
 
 NEEDED = ("index", "measures", "fitness", "true_return", "length", "cells")
 POLICY = ("solution", "obs_mean", "obs_std")
@@ -29,10 +28,10 @@ class Shown(NamedTuple):
 
     name: str  # what menus call it
     config: Mapping[str, Any] | None  # the run's settings; None for an archive of unknown origin
-    archive: Archive  # arrays as ``run.read_archive`` gives them, policies among them where they are there
+    archive: Archive  # arrays as ``read_archive`` gives them, policies among them where they are there
     demonstrators: np.ndarray  # (d, 2) measures of the demonstrators
     # New elites in order: iteration, index, true_return and fitness (n,), and iterations (), how many the run had; from
-    # ``history.npz`` beside the archive (``qdil.search.history``). None if the run kept none.
+    # ``history.npz`` beside the archive (``qdil.qd.history``). None if the run kept none.
     history: Mapping[str, np.ndarray] | None
     why: str  # why robots cannot be shown; empty where they can
 
@@ -83,9 +82,9 @@ def _one(name: str, what: Any, config: Mapping[str, Any] | None) -> Shown:
     if not isinstance(what, str | Path):
         raise ConfigError(f"'{type(what).__name__}' cannot be explored: give a run's folder or an archive.")
     folder = Path(what)
-    settings = run.read_config(folder)
+    settings = read_config(folder)
     why = "" if (folder / "policies.npz").is_file() else "its policies are not on this machine"
-    archive = run.read_archive(folder, policies=not why)
+    archive = read_archive(folder, policies=not why)
     method = str(settings["method"])
     named = title(method) if name in ("", method) else name
     return _checked(Shown(named, settings, archive, _demonstrators(folder, settings), _history(folder), why))
@@ -97,7 +96,7 @@ def _checked(shown: Shown) -> Shown:
         raise ConfigError(f"the archive '{shown.name}' has no {', '.join(missing)}.")
     if len(shown.archive["cells"]) != 2:
         raise ConfigError(f"the explorer draws two measures; '{shown.name}' has {len(shown.archive['cells'])}.")
-    if shown.config and shown.config["env"] not in ROBOTS:
+    if shown.config and shown.config["env"] not in register.robot_names():
         raise ConfigError(f"'{shown.name}' is of the unknown robot '{shown.config['env']}'.")
     return shown
 
@@ -155,7 +154,7 @@ def told(runs: Sequence[Shown], playable: Sequence[Sequence[int]] | None = None)
     ``playable``: for each run the cells that a page has recordings of; None where a kernel can play any.
     """
     env = next((shown.config["env"] for shown in runs if shown.config), None)
-    feet = list(ROBOTS[env].feet) if env else ["foot 1", "foot 2"]
+    feet = list(register.find(env).measure_names) if env else ["foot 1", "foot 2"]
     content: dict[str, Any] = {"robot": robot(env) if env else None, "runs": [_told(shown, feet) for shown in runs]}
     if playable is not None:
         content["playable"] = [list(cells) for cells in playable]
@@ -214,7 +213,7 @@ def robot(env: str) -> dict[str, Any]:
     ]  # fmt: skip
     return {
         "name": env,
-        "feet": list(ROBOTS[env].feet),
+        "feet": list(register.find(env).measure_names),
         "links": len(pose.position),
         "capsules": capsules,
         "size": round(float(max(high[2] - low[2], 0.75 * (high[0] - low[0]))), 3),
@@ -229,7 +228,7 @@ def legs(env: str) -> np.ndarray:
     model = brax_robots.model(env)
     names = [model.body(i).name for i in range(model.nbody)]
     chains: list[set[int]] = []
-    for foot in ROBOTS[env].feet:
+    for foot in register.find(env).measure_names:
         chain, body = set[int](), names.index(foot)
         while body > 0:
             chain.add(body - 1)

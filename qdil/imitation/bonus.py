@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from qdil.search.archive import EDGE
+from qdil.qd.archive import EDGE
 from qdil.types import Transitions
 
 

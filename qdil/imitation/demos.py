@@ -8,10 +8,10 @@ import numpy as np
 
 from qdil.files import write_npz
 from qdil.imitation.reward_model import Demonstrations
+from qdil.rl import networks
+from qdil.rl.rollout import rollout, start
 from qdil.robots.environment import Environment
-from qdil.search import networks
-from qdil.search.rollout import start, window
-from qdil.types import ObsStats, Params
+from qdil.types import Normaliser, Params
 
 FIELDS = ("obs", "action", "next_obs", "proxy")
 
@@ -43,7 +43,7 @@ def select(fitness: np.ndarray, measures: np.ndarray, cells: int, count: int) ->
 
 def record(
     env: Environment,
-    like: Params,
+    template: Params,
     elites: dict[str, np.ndarray],
     key: jax.Array,
     episode_length: int,
@@ -54,16 +54,15 @@ def record(
     ``elites`` has ``solution`` (n, P), ``obs_mean`` and ``obs_std`` (n, O). Also returns, per episode,
     ``episode_return`` and ``episode_measures``; ``episode`` (N,) says which episode a row belongs to.
     """
-    policies = jax.vmap(lambda t: networks.unflatten(t, like))(jnp.asarray(elites["solution"]))
-    zeros = jnp.zeros_like(jnp.asarray(elites["obs_mean"]))
-    stats = ObsStats(jnp.asarray(elites["obs_mean"]), jnp.asarray(elites["obs_std"]), zeros, jnp.zeros(len(zeros)))
+    policies = jax.vmap(lambda t: networks.unflatten(t, template))(jnp.asarray(elites["solution"]))
+    normaliser = Normaliser(jnp.asarray(elites["obs_mean"]), jnp.asarray(elites["obs_std"]))
 
     def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
         spread = jnp.exp(policies["log_std"]) if sample_actions else 0.0
-        return jax.vmap(networks.policy_mean)(policies, stats, obs) + noise * spread, jnp.zeros(len(noise))
+        return jax.vmap(networks.policy_mean)(policies, normaliser, obs) + noise * spread, jnp.zeros(len(noise))
 
     keys = jax.random.split(key, len(elites["solution"]))
-    run = jax.jit(lambda k: window(env, act, start(env, k, episode_length), episode_length, episode_length)[1])
+    run = jax.jit(lambda k: rollout(env, act, start(env, k, episode_length), episode_length, episode_length)[1])
     steps = jax.tree.map(np.asarray, run(keys))
     lengths = np.argmax(steps.ended, axis=0) + 1
     episodes = [
@@ -130,6 +129,12 @@ def load(
     if alignment == "shifted":
         data = shifted(data, np.random.default_rng(seed))
     return Demonstrations(*(jnp.asarray(data[name], jnp.float32) for name in FIELDS))
+
+
+def made_up(env: Environment, rows: int, seed: int = 0) -> Demonstrations:
+    """``rows`` steps of noise in the shapes of a robot's demonstrations: fit to be timed, not to be learned from."""
+    rng, widths = np.random.default_rng(seed), (env.obs_size, env.action_size, env.obs_size, len(env.measure_names))
+    return Demonstrations(*(jnp.asarray(rng.normal(size=(rows, width)), jnp.float32) for width in widths))
 
 
 def check_fits(demos: Demonstrations, env: Environment) -> None:

@@ -11,10 +11,10 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 from ribs.archives import GridArchive
 
-from qdil.background.algorithms import Result
-from qdil.background.compare import ends
-from qdil.background.soft import Visits
-from qdil.background.strategies import Chase
+from qdil.lab.background.algorithms import Result
+from qdil.lab.background.compare import ends
+from qdil.lab.background.soft import Visits
+from qdil.lab.background.strategies import Chase
 from qdil.plotting.style import EMPTY
 
 # Okabe and Ito's colours.

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from qdil.evidence.studies import config_of
 from qdil.plotting.colours import method_colour
 from qdil.plotting.style import EMPTY, METRICS, MORE_METRICS, SETTING_LABELS, label, percent, short
+from qdil.runs.studies import config_of
 
 LABELS = {**METRICS, **MORE_METRICS}
 

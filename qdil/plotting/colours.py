@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.colors import to_hex, to_rgb
 
 from qdil.config import ConfigError
-from qdil.registry import OBS_ONLY, Method, parse_method
+from qdil.methods import OBS_ONLY, Method, parse_method
 
 METHOD_COLOURS = {
     "true": "#000000",
@@ -55,13 +55,13 @@ def method_colour(experiment: str, others: int = 0) -> str:
     if name in METHOD_COLOURS:
         return METHOD_COLOURS[name]
     method = _parsed(name)
-    if method is None or method.base not in METHOD_COLOURS:
+    if method is None or method.base.name not in METHOD_COLOURS:
         return OTHER_COLOURS[others % len(OTHER_COLOURS)]
     if method.obs_only:
         return _mix(method_colour(name.removesuffix(OBS_ONLY)), "#ffffff", 0.35)
     if method.conditioned:
-        return _mix(METHOD_COLOURS[method.base], "#ffffff", 0.4)
-    return _mix(METHOD_COLOURS[method.base], METHOD_COLOURS[f"mconbo-{method.base}"], 0.5)
+        return _mix(METHOD_COLOURS[method.base.name], "#ffffff", 0.4)
+    return _mix(METHOD_COLOURS[method.base.name], METHOD_COLOURS[f"mconbo-{method.base.name}"], 0.5)
 
 
 def _parsed(name: str) -> Method | None:
@@ -102,11 +102,11 @@ def _method_style(name: str, spare: int) -> dict[str, Any]:
     look: dict[str, Any] = {"color": method_colour(name, spare), "ls": "-", "marker": "None"}
     if method is None:
         return look | {"marker": MARKERS_OF_SETTINGS[-1 - spare % 6]}
-    if method.base == "true":
+    if method.base.name == "true":
         look |= {"ls": "--"}
     elif method.obs_only:
         look |= {"ls": "-."}
-    marker = MARKERS.get(method.base, "None" if method.base == "true" else "*")
+    marker = MARKERS.get(method.base.name, "None" if method.base.name == "true" else "*")
     return look | {"marker": marker, "fillstyle": FILLS[method.conditioned, method.bonus]}
 
 

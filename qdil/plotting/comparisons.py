@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdil.imitation.demos import top_fifth
+from qdil.methods import method_names
 from qdil.plotting.colours import method_colour, styles
 from qdil.plotting.style import BLUE, GREEN, METRICS, RED, label_measures, percent, short
-from qdil.registry import method_names
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's, in our order
 DASHES = ("-", "--", ":", "-.")  # so that lines differ in print, too

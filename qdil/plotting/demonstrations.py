@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from qdil.imitation.demos import farthest_points, top_fifth
 from qdil.plotting.robots import FEET
 from qdil.plotting.style import GREEN, RED, label_measures
-from qdil.robots.brax_robots import ROBOTS
+from qdil.robots import register
 
 
 def selection(expert: Mapping[str, Any], count: int, robot: str | None = None) -> Figure:
@@ -81,7 +81,7 @@ def contact_strips(
 
 def foot_names(robot: str | None) -> list[str]:
     """What the two feet are called, foot 1 first; the simulator's names where a robot is given."""
-    return list(ROBOTS[robot].feet) if robot else ["foot 1", "foot 2"]
+    return list(register.find(robot).measure_names) if robot else ["foot 1", "foot 2"]
 
 
 def contacts(ax: Axes, proxy: np.ndarray, step_seconds: float) -> None:

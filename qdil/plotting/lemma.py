@@ -7,8 +7,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qdil.lemma.robot import Trial, interval
-from qdil.lemma.trials import GROUPS, ROUNDING, Learning, Trials, group
+from qdil.lab.lemma.robot import Trial, interval
+from qdil.lab.lemma.trials import GROUPS, ROUNDING, Learning, Trials, group
 from qdil.plotting.colours import method_colour, styles
 from qdil.plotting.style import BLUE, GREEN, RED, label
 

@@ -28,7 +28,7 @@ class LiveArchive:
 
     def __call__(self, search: Search, row: Mapping[str, float]) -> None:
         """Show one iteration, if the last picture is old enough or this is the last iteration."""
-        last = row["iteration"] == self.config.iterations
+        last = row["iteration"] == self.config.ppga.iterations
         self.first = self.first or (int(row["iteration"]), time.monotonic())
         if not last and time.monotonic() - self.drawn < self.seconds:
             return
@@ -44,7 +44,7 @@ class LiveArchive:
         self.drawn = time.monotonic()
 
     def _progress(self, row: Mapping[str, float], last: bool) -> str:
-        done, total, now = int(row["iteration"]), self.config.iterations, time.monotonic()
+        done, total, now = int(row["iteration"]), self.config.ppga.iterations, time.monotonic()
         first, since = self.first or (done, now)
         if last:
             clock = f", finished in {now - self.begin:.0f} s"

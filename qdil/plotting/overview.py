@@ -1,6 +1,6 @@
 """The idea in pictures: what a behaviour space is, the two problems of imitating diversity, the framework (Figs. 1-3).
 
-Drawn from ``qdil.background.concepts`` and from words; no run is behind these pictures.
+Drawn from ``qdil.lab.background.concepts`` and from words; no run is behind these pictures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
-from qdil.background.concepts import Explored, discriminator_reward, fitness
+from qdil.lab.background.concepts import Explored, discriminator_reward, fitness
 from qdil.plotting.style import BLUE, GREEN, RED
 
 MEASURE = "measure m"

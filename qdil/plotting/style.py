@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdil.files import replace_file
-from qdil.robots.brax_robots import ROBOTS
+from qdil.robots import register
 
 GREEN, BLUE, RED = "#009e73", "#0072b2", "#d55e00"
 EMPTY = "0.87"  # grey of an empty cell
@@ -71,7 +71,7 @@ def percent(metric: str) -> float:
 
 def measure_labels(robot: str | None = None) -> tuple[str, str]:
     """Axis labels of the measure space, naming the feet of ``robot`` where one is given."""
-    names = [f" ({foot})" for foot in ROBOTS[robot].feet] if robot else ["", ""]
+    names = [f" ({foot})" for foot in register.find(robot).measure_names] if robot else ["", ""]
     first, second = (f"share of time foot {i + 1}{name}\ntouches the ground" for i, name in enumerate(names))
     return first, second
 

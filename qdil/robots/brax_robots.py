@@ -1,23 +1,24 @@
-"""The door to Brax: halfcheetah, walker2d and humanoid with foot contacts; nothing else imports Brax's physics."""
+"""The door to Brax: its robots with foot contacts; nothing else imports Brax's physics."""
 
 import io
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.extend.core import jaxpr_as_fun
 
+from qdil.errors import ConfigError
 from qdil.finite import is_smaller
+from qdil.robots.batched.batch_last import batch_last
 from qdil.robots.environment import Environment, Outcome, RobotState
-from qdil.robots.robots_last import robots_last
+from qdil.robots.register import BACKENDS, Robot
 
 DIVERGED = 1e6  # an observation or reward this large is no robot's: physics about to become infinite
-BACKENDS = ("spring", "positional", "generalized", "mjx")
 # How far from the ground a foot may be and touch it, in metres. The positional backend moves what has sunk into the
 # ground out of it before a step ends: there feet rest a hair above, 0.05 mm on walker2d.
 TOUCHES = {"positional": 1e-3}
@@ -26,27 +27,28 @@ TOUCHES = {"positional": 1e-3}
 Step = Callable[[RobotState, jax.Array], tuple[RobotState, Outcome]]
 
 
-class Robot(NamedTuple):
-    """How a robot is called in Brax and which links are its feet."""
+def foot_links(robot: Robot, mj: Any) -> list[int]:
+    """Indices of a robot's feet among the links of its MuJoCo model ``mj``; link i is body i + 1.
 
-    brax_name: str
-    feet: tuple[str, ...]
-
-
-# The humanoid's model has no foot links: its feet are spheres at the shins' lower ends.
-ROBOTS = {
-    "halfcheetah": Robot("halfcheetah", ("bfoot", "ffoot")),
-    "walker2d": Robot("walker2d", ("foot", "foot_left")),
-    "humanoid": Robot("humanoid", ("right_shin", "left_shin")),
-}
-
-
-def foot_links(link_names: list[str], feet: tuple[str, ...]) -> list[int]:
-    """Indices of the feet among the links. Raises ValueError unless every foot is found exactly once."""
-    missing = [foot for foot in feet if link_names.count(foot) != 1]
-    if missing:
-        raise ValueError(f"feet {missing} are not links of this robot; its links are {link_names}.")
-    return [link_names.index(foot) for foot in feet]
+    A foot is named by its link, or by a shape of its link. Raises ConfigError unless every foot is exactly one link,
+    and another one for each foot.
+    """
+    bodies = [mj.body(i).name for i in range(1, mj.nbody)]
+    shapes = [(mj.geom(i).name, int(mj.geom_bodyid[i]) - 1) for i in range(mj.ngeom) if mj.geom_bodyid[i] > 0]
+    found = {
+        foot: {i for i, name in [*enumerate(bodies), *((i, n) for n, i in shapes)] if name == foot}
+        for foot in robot.feet
+    }
+    wrong = [foot for foot, links in found.items() if len(links) != 1 or not foot]
+    if wrong:
+        names = ", ".join(filter(None, [*bodies, *(name for name, _ in shapes)]))
+        raise ConfigError(
+            f"robot '{robot.name}': {', '.join(map(repr, wrong))} is none of its links or shapes ({names})."
+        )
+    links = [links.pop() for links in found.values()]
+    if len(set(links)) < len(links):
+        raise ConfigError(f"robot '{robot.name}': two of its feet, {', '.join(robot.feet)}, are the same link.")
+    return links
 
 
 @contextmanager
@@ -64,21 +66,26 @@ def _quiet() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def _check(name: str, backend: str) -> None:
-    if name not in ROBOTS:
-        raise ValueError(f"unknown robot '{name}'; choose one of {', '.join(ROBOTS)}.")
-    if backend not in BACKENDS:
-        raise ValueError(f"unknown backend '{backend}'; choose one of {', '.join(BACKENDS)}.")
-
-
 @cache
-def model(name: str) -> Any:
-    """The MuJoCo model (``mujoco.MjModel``) that a robot is read from: its links, shapes and joints."""
-    _check(name, BACKENDS[0])
+def model(robot: Robot) -> Any:
+    """The MuJoCo model (``mujoco.MjModel``) that a robot is read from: its links, shapes and joints.
+
+    Raises ConfigError for a robot that Brax does not simulate, or whose Brax environment does not exist.
+    """
+    return _brax_env(robot, BACKENDS[0]).sys.mj_model
+
+
+def _brax_env(robot: Robot, backend: str) -> Any:
+    if robot.brax_env is None:
+        raise ConfigError(f"robot '{robot.name}' is an environment of its own: it has no model to draw.")
     with _quiet():
         from brax import envs
 
-        return envs.get_environment(ROBOTS[name].brax_name, backend=BACKENDS[0]).sys.mj_model
+        try:
+            with _constants_on_this_host():
+                return envs.get_environment(robot.brax_env, backend=backend)
+        except KeyError:
+            raise ConfigError(f"robot '{robot.name}': Brax has no environment called '{robot.brax_env}'.") from None
 
 
 @contextmanager
@@ -94,7 +101,7 @@ def _constants_on_this_host() -> Iterator[None]:
         mjx.put_model = whole
 
 
-def _traced_once(function: Callable[..., Any], *like: Any) -> tuple[Callable[..., Any], Any]:
+def _traced_materialise(function: Callable[..., Any], *like: Any) -> tuple[Callable[..., Any], Any]:
     """``function`` as a replay of one trace, for arguments like these, and what it returns, as shapes.
 
     Tracing Brax takes a second, and ``jax.jit`` does so again outside a mesh and inside one.
@@ -109,24 +116,21 @@ def _traced_once(function: Callable[..., Any], *like: Any) -> tuple[Callable[...
 
 
 @cache
-def make(name: str, backend: str = "spring", as_brax: bool = False) -> Environment:
-    """Build a robot by name (a key of ``ROBOTS``) on a Brax ``backend`` (one of ``BACKENDS``).
+def make(robot: Robot, backend: str, as_brax: bool = False) -> Environment:
+    """Build a robot on a Brax ``backend`` (one of ``BACKENDS``). Raises ConfigError for feet that are not its links.
 
     The proxy δ(s) ∈ {0,1}^k is 1 where any collision shape of a foot's link touches the ground
     (contact distance ≤ 0, or ``TOUCHES``), computed from the same contacts the simulator resolves. Actions are
     clipped to [-1, 1] before they reach the robot, so that its control cost counts what was applied.
 
-    On the spring backend a ``jax.vmap`` of the step simulates its robots as ``robots_last`` lays them; ``as_brax``
+    On the spring backend a ``jax.vmap`` of the step simulates its robots as ``batch_last`` lays them; ``as_brax``
     leaves it as Brax and JAX have it, to compare with.
     """
-    _check(name, backend)
+    env = _brax_env(robot, backend)
+    feet = jnp.asarray(foot_links(robot, env.sys.mj_model))
     with _quiet():
-        from brax import contact, envs
+        from brax import contact
         from brax.envs.base import State
-
-        with _constants_on_this_host():
-            env: Any = envs.get_environment(ROBOTS[name].brax_name, backend=backend)
-        feet = jnp.asarray(foot_links(list(env.sys.link_names), ROBOTS[name].feet))
 
         def proxy(physics: Any) -> jax.Array:
             contacts = contact.get(env.sys, physics.x)
@@ -143,18 +147,18 @@ def make(name: str, backend: str = "spring", as_brax: bool = False) -> Environme
             before = State(state.physics, state.obs, zero, zero, dict.fromkeys(metrics, zero))
             after = env.step(before, jnp.clip(action, -1.0, 1.0))
             # A diverged robot ends its episode there; its last sound observation stands in for the lost one.
-            finite = _once(jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED))
+            finite = _materialise(jnp.all(is_smaller(after.obs, DIVERGED)) & is_smaller(after.reward, DIVERGED))
             obs = jnp.where(finite, after.obs, state.obs)
-            terminated = _once((after.done > 0.5) | ~finite)
+            terminated = _materialise((after.done > 0.5) | ~finite)
             outcome = Outcome(jnp.where(finite, after.reward, 0.0), terminated, finite)
             return RobotState(after.pipeline_state, obs, proxy(after.pipeline_state)), outcome
 
-        begin, (start, metrics) = _traced_once(begin, jax.random.key(0))  # the collision code is imported here
+        begin, (start, metrics) = _traced_materialise(begin, jax.random.key(0))  # the collision code is imported here
         acting = jax.ShapeDtypeStruct((int(env.action_size),), jnp.float32)
-        step, _ = _traced_once(move, start, acting)
+        step, _ = _traced_materialise(move, start, acting)
 
     if backend == "spring" and not as_brax:
-        step = _together(step, start, acting)
+        step = _batch_rule(step, start, acting)
 
     def reset(key: jax.Array) -> RobotState:
         return begin(key)[0]
@@ -162,17 +166,20 @@ def make(name: str, backend: str = "spring", as_brax: bool = False) -> Environme
     # ``inline`` leaves no mark in the programs that these become part of.
     reset, step = jax.jit(reset, inline=True), jax.jit(step, inline=True)
     obs_size = start.obs.shape[-1]  # the property of Brax traces a reset to find out
-    return Environment(name, backend, obs_size, int(env.action_size), ROBOTS[name].feet, float(env.dt), reset, step)
+    return Environment(robot.name, backend, obs_size, int(env.action_size), robot.feet, float(env.dt), reset, step)
 
 
-def _once(mask: jax.Array) -> jax.Array:
-    """``mask``, worked out once: what leads to it, XLA would put into every kernel that reads it; but no root."""
+def _materialise(mask: jax.Array) -> jax.Array:
+    """``mask``, computed only once.
+
+    XLA recomputes cheap producers inside every consumer kernel; a square root is expensive enough that it does not.
+    """
     return jnp.sqrt(mask.astype(jnp.float32)) > 0.5
 
 
-def _together(step: Step, *like: Any) -> Step:
-    """``step``, with ``robots_last`` in place of what ``jax.vmap`` would make of it."""
-    one, many = custom_vmap(step), robots_last(step, *like)
+def _batch_rule(step: Step, *like: Any) -> Step:
+    """``step``, with ``batch_last`` in place of what ``jax.vmap`` would make of it."""
+    one, many = custom_vmap(step), batch_last(step, *like)
 
     @one.def_vmap
     def all_of_them(count: int, own: Any, *args: Any) -> tuple[Any, Any]:

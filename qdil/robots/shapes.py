@@ -6,7 +6,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from qdil.robots.brax_robots import ROBOTS, foot_links, model
+from qdil.robots import register
+from qdil.robots.brax_robots import foot_links, model
 
 
 class Shapes(NamedTuple):
@@ -27,14 +28,15 @@ class Pose(NamedTuple):
 
 @cache
 def shapes(name: str) -> Shapes:
-    """The capsules of a robot (a key of ``ROBOTS``). Raises ValueError for an unknown robot."""
-    mj = model(name)
+    """The capsules of a robot. Raises ConfigError for an unknown robot, or one without a model."""
+    robot = register.find(name)
+    mj = model(robot)
     kept = np.flatnonzero((mj.geom_bodyid > 0) & np.isin(mj.geom_type, (CAPSULE, SPHERE)))
     half = np.where(mj.geom_type[kept] == CAPSULE, mj.geom_size[kept, 1], 0.0)
     along = rotated(mj.geom_quat[kept], np.array([0.0, 0.0, 1.0])) * half[:, None]
     ends = np.stack([mj.geom_pos[kept] - along, mj.geom_pos[kept] + along], axis=1)
     link = mj.geom_bodyid[kept] - 1  # body 0 is the world
-    feet = foot_links([mj.body(i + 1).name for i in range(mj.nbody - 1)], ROBOTS[name].feet)
+    feet = foot_links(robot, mj)
     foot = np.array([feet.index(i) if i in feet else -1 for i in link])
     return Shapes(link, ends, mj.geom_size[kept, 0].copy(), foot)
 
@@ -45,7 +47,7 @@ CAPSULE, SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_
 @cache
 def first_pose(name: str) -> Pose:
     """The pose that a robot's episodes begin in, but for the small random changes of each."""
-    mj = model(name)
+    mj = model(register.find(name))
     data = mujoco.MjData(mj)
     mujoco.mj_kinematics(mj, data)
     return Pose(data.xpos[1:].copy(), data.xquat[1:].copy())

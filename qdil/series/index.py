@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from qdil.config import ConfigError
-from qdil.evidence.studies import experiments_of
+from qdil.runs.studies import experiments_of
 
 ROOT = Path(__file__).parent.parent.parent
 NOTEBOOKS = ROOT / "notebooks"

@@ -8,9 +8,13 @@ import jax
 from IPython.display import Markdown, display
 from matplotlib.figure import Figure
 
-from qdil import manifest, plotting, run
-from qdil.config import ROBOTS, make_config
-from qdil.evidence import experiments, studies
+from qdil import plotting
+from qdil.config import make_config
+from qdil.devices.start import use_all_cores
+from qdil.robots.register import robot_names
+from qdil.runs import experiments, manifest, studies
+from qdil.runs.folder import RESULTS, demos_path
+from qdil.runs.missing import train_missing
 
 ROOT = Path(__file__).parent.parent.parent
 OPENED = {"budget": "smoke", "env": "walker2d"}  # by ``begin``; a notebook is a process of its own, and one page
@@ -28,6 +32,7 @@ def begin(budget: str, env: str, seed: int, note: str | None = None) -> Markdown
     Raises ConfigError for a budget, robot or seed that does not exist.
     """
     make_config(env, "true", budget, seed)
+    use_all_cores()
     os.chdir(ROOT)
     OPENED.update(budget=budget, env=env)
     device = f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
@@ -46,7 +51,7 @@ def runs(
     """
     wanted = studies.experiments_of([study], budget) if isinstance(study, str) else tuple(study)
     if train or budget == "smoke":
-        experiments.train_missing(wanted, env, budget, seeds)
+        train_missing(wanted, env, budget, seeds)
     there = experiments.finished(wanted, env, budget, seeds)
     listed = [f"`{name}` ({', '.join(path.name.replace('-', ' ') for path in paths)})" for name, paths in there.items()]
     missing = [f"`{name}`" for name in wanted if name not in there]
@@ -62,7 +67,7 @@ def robots(names: Sequence[str], budget: str) -> Iterator[tuple[str, dict[str, l
 
     Nothing is trained. The heading stands over whatever is displayed before the next robot is asked for.
     """
-    for env in ROBOTS:
+    for env in robot_names():
         there = experiments.finished(names, env, budget)
         missing = ", ".join(f"`{name}`" for name in names if name not in there)
         said = f": not trained yet, so not shown: {missing}." if there and missing else ""
@@ -76,7 +81,7 @@ def demonstrations(env: str, budget: str) -> Path | None:
 
     For the parts of a notebook that ask reward models about demonstrated steps: they are left out where it is None.
     """
-    path = run.demos_path(budget, env, make_config(env, "true", budget).demo_episodes)
+    path = demos_path(budget, env, make_config(env, "true", budget).demos.demo_episodes)
     if path.is_file():
         return path
     of = f"--env {env} --budget {budget}"
@@ -105,6 +110,6 @@ def show(figure: Figure | str | None, name: str | None, env: str | None = None) 
         display(Markdown(figure))
 
 
-def figures_folder(budget: str, root: Path = run.RESULTS) -> Path:
+def figures_folder(budget: str, root: Path = RESULTS) -> Path:
     """Where a budget's figures go: those of ``smoke`` apart, since they show nothing that was learned."""
     return root / budget / "figures" if budget == "smoke" else root / "figures"

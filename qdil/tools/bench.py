@@ -4,7 +4,6 @@ Machines are shared and drift, so nothing here is worth much alone: every speed 
 simulator's (random actions, the same robots on the same devices), and the medians of their ratios are what counts.
 """
 
-import copy
 import json
 import os
 import resource
@@ -23,16 +22,17 @@ import numpy as np
 from jax.sharding import PartitionSpec as P
 
 from qdil import ppga
-from qdil.compiler import on_one_core
-from qdil.config import Config, make_config
-from qdil.imitation.reward_model import Demonstrations
-from qdil.search import archive
-from qdil.search.rollout import start, window
-from qdil.sharding import AXIS, make_mesh
+from qdil.config import Config, make_config, value_of
+from qdil.devices.mesh import AXIS, make_mesh
+from qdil.devices.xla_options import single_threaded
+from qdil.imitation.demos import made_up
+from qdil.qd import archive
+from qdil.rl.rollout import rollout, start
+from qdil.robots import brax_robots, register
 from qdil.tools.start import start_seconds
 
 ROUNDS = 5  # turns that each speed is taken in
-TAKEN = ("learner", "stats", "actors")  # what a run takes over from another that has warmed up
+TAKEN = ("train_state", "stats", "envs")  # what a run takes over from another that has warmed up
 Row = dict[str, float]
 
 
@@ -72,7 +72,7 @@ def bench(env: str, budget: str = "laptop", rounds: int = ROUNDS) -> Row:
     """Speeds of one robot's runs. Takes minutes: it compiles everything anew for one and for all devices."""
     row: Row = {}
     true = _begun(env, "true", budget)
-    devices = true.compiled.num_devices
+    devices = true.engine.num_devices
     bare = _bare_simulator(true.config, devices, as_brax=True)
     tuned = _bare_simulator(true.config, devices)
     ratios = _in_turns(
@@ -120,19 +120,19 @@ def full_networks(env: str, rounds: int = ROUNDS) -> Row:
     """
     full = make_config(env, "true", "full")
     names = ("actor_hidden", "critic_hidden", "minibatches", "epochs")
-    changes = {name: getattr(full, name) for name in names}
+    changes = {name: value_of(full, name) for name in names}
     # The target is out of reach so that every epoch is done, and can be counted.
     search = ppga.begin(make_config(env, "true", "laptop", num_envs=192, target_kl=1e9, **changes), None)
     config = search.config
     size, rate = 1024, 2.0 * 1024**3
     matrix = jnp.ones((size, size))
     product = jax.jit(lambda x: x @ x)
-    devices = search.compiled.num_devices
+    devices = search.engine.num_devices
     bare = _bare_simulator(config, devices)
     turns = _in_turns(
         {"simulator": bare, "vppo": partial(_updates, search), "product": lambda: _timed(product, matrix, rate)}, rounds
     )
-    steps = config.window * config.num_envs
+    steps = config.ppo.rollout_length * config.ppo.num_envs
     floors = []
     for (s_steps, s_seconds), (v_steps, v_seconds), (flop, p_seconds) in zip(
         turns["simulator"], turns["vppo"], turns["product"], strict=True
@@ -147,16 +147,18 @@ def full_networks(env: str, rounds: int = ROUNDS) -> Row:
     }
 
 
-def _begun(env: str, method: str, budget: str, like: ppga.Search | None = None, **changes: Any) -> ppga.Search:
+def _begun(robot: str, method: str, budget: str, like: ppga.Search | None = None, **changes: Any) -> ppga.Search:
     """A run with everything compiled, after one iteration; on made-up demonstrations.
 
     It begins as the budget's runs do, after their warm-up: a robot that can only fall says little about a run. With
     ``like`` it takes the robots, policy, critic and normaliser of that other run instead, on its own devices.
     """
-    config = make_config(env, method, budget, **changes)
-    search = ppga.begin(config, None if method == "true" else _made_up_demonstrations(config))
+    config = make_config(robot, method, budget, **changes)
+    env = register.make(config.env, config.simulation.backend)
+    rows = config.demos.demo_episodes * config.simulation.episode_length
+    search = ppga.begin(config, None if method == "true" else made_up(env, rows))
     if like is None:
-        search = ppga.warmed_up(search, config.warmup_updates)
+        search = ppga.warmed_up(search, config.ppga.warmup_updates)
     else:
         mine, theirs = search.state, like.state
         moved = {name: _laid_out_as(getattr(mine, name), getattr(theirs, name)) for name in TAKEN}
@@ -167,15 +169,6 @@ def _begun(env: str, method: str, budget: str, like: ppga.Search | None = None, 
 def _laid_out_as(mine: Any, theirs: Any) -> Any:
     """The numbers of ``theirs`` in the layout over devices of ``mine``."""
     return jax.tree.map(lambda here, there: jax.device_put(there, here.sharding), mine, theirs)
-
-
-def _made_up_demonstrations(config: Config) -> Demonstrations:
-    from qdil.robots import brax_robots
-
-    env, rng = brax_robots.make(config.env, config.backend), np.random.default_rng(0)
-    rows = config.demo_episodes * config.episode_length
-    widths = (env.obs_size, env.action_size, env.obs_size, len(env.measure_names))
-    return Demonstrations(*(jnp.asarray(rng.normal(size=(rows, width)), jnp.float32) for width in widths))
 
 
 Turn = Callable[[], tuple[float, float]]  # does some work; returns how many steps of it, and the seconds they took
@@ -225,34 +218,33 @@ def _timed(function: Any, argument: Any, amount: float) -> tuple[float, float]:
 
 
 def _bare_simulator(config: Config, num_devices: int, as_brax: bool = False) -> Turn:
-    """Windows of random actions, resets and contacts included, on the run's own layout of robots over devices.
+    """Rollouts of random actions, resets and contacts included, on the run's own layout of robots over devices.
 
-    Simulated and compiled as a run's windows are; or ``as_brax``, as Brax and JAX do it by themselves.
+    Simulated and compiled as a run's rollouts are; or ``as_brax``, as Brax and JAX do it by themselves.
     """
-    from qdil.robots import brax_robots
-
-    env = brax_robots.make(config.env, config.backend, as_brax)
+    backend = config.simulation.backend
+    env = brax_robots.make(register.find(config.env), backend, as_brax)
 
     def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jnp.clip(noise, -1.0, 1.0), jnp.zeros(len(noise))
 
-    def drive(actors: Any) -> Any:
-        actors, steps, _ = window(env, act, actors, config.window, config.episode_length)
-        return actors, jnp.sum(steps.reward)[None]
+    def drive(envs: Any) -> Any:
+        envs, steps, _ = rollout(env, act, envs, config.ppo.rollout_length, config.simulation.episode_length)
+        return envs, jnp.sum(steps.reward)[None]
 
     mesh = make_mesh(num_devices)
     over_devices = jax.shard_map(drive, mesh=mesh, in_specs=P(AXIS), out_specs=(P(AXIS), P(AXIS)), check_vma=False)
-    run = jax.jit(over_devices, compiler_options=None if as_brax else on_one_core())
-    keys = jax.random.split(jax.random.key(0), config.num_envs)
-    now = [run(jax.jit(lambda k: start(env, k, config.episode_length, in_step=False))(keys))[0]]
-    windows = config.gradient_updates + config.walk_updates
+    run = jax.jit(over_devices, compiler_options=None if as_brax else single_threaded(num_devices))
+    keys = jax.random.split(jax.random.key(0), config.ppo.num_envs)
+    now = [run(jax.jit(lambda k: start(env, k, config.simulation.episode_length, in_step=False))(keys))[0]]
+    rollouts = config.ppga.gradient_updates + config.ppga.walk_updates
 
     def turn() -> tuple[float, float]:
         began = time.monotonic()
-        for _ in range(windows):
+        for _ in range(rollouts):
             now[0], reward = run(now[0])
         jax.block_until_ready(reward)
-        return float(windows * config.window * config.num_envs), time.monotonic() - began
+        return float(rollouts * config.ppo.rollout_length * config.ppo.num_envs), time.monotonic() - began
 
     return turn
 
@@ -260,21 +252,21 @@ def _bare_simulator(config: Config, num_devices: int, as_brax: bool = False) -> 
 def _updates(search: ppga.Search) -> tuple[float, float]:
     """One walk: N2 VPPO updates."""
     config, occupied = search.config, jnp.asarray(archive.occupied(search.archives))
-    weights = jnp.tile(jnp.eye(search.compiled.parts.streams)[0], (search.compiled.parts.streams, 1))
     began = time.monotonic()
-    trained = search.compiled.train(search.state, occupied, weights, True, config.walk_updates, config.epochs)
+    fitness_alone = np.eye(search.engine.objectives)[0]
+    trained = search.engine.train_policy(search.state, occupied, fitness_alone, config.ppga.walk_updates)
     jax.block_until_ready(trained.theta)
-    return float(config.walk_updates * config.window * config.num_envs), time.monotonic() - began
+    return float(config.ppga.walk_updates * config.ppo.rollout_length * config.ppo.num_envs), time.monotonic() - began
 
 
 def _evaluation(search: ppga.Search) -> tuple[float, float]:
     """All candidates at θ_μ over whole episodes."""
-    coefficients = jnp.zeros((search.config.candidates, search.compiled.parts.streams))
-    theta = jnp.zeros((search.compiled.parts.streams, 1))
-    policies, _ = search.compiled.branch(search.state, theta, coefficients)
+    coefficients = np.zeros((search.config.ppga.candidates, search.engine.objectives))
+    theta = jnp.zeros((search.engine.objectives, 1))
+    policies, _ = search.engine.branch(search.state, theta, coefficients)
     began = time.monotonic()
     candidates = ppga.evaluate(search, policies, search.state.key)
-    return float(candidates.length.sum() * search.config.episodes), time.monotonic() - began
+    return float(candidates.length.sum() * search.config.evaluation.episodes), time.monotonic() - began
 
 
 def _iteration(search: ppga.Search) -> tuple[ppga.Search, tuple[float, float]]:
@@ -282,7 +274,7 @@ def _iteration(search: ppga.Search) -> tuple[ppga.Search, tuple[float, float]]:
     began = time.monotonic()
     search, info = ppga.iteration(search)
     jax.block_until_ready(search.state.key)
-    return search, (info["steps"], time.monotonic() - began)
+    return search, (info.steps, time.monotonic() - began)
 
 
 def _iterations_of(search: ppga.Search) -> Turn:
@@ -306,9 +298,9 @@ def _same_iterations(one: ppga.Search, together: ppga.Search) -> tuple[Turn, Tur
 
     def before() -> tuple[float, float]:
         theirs = now[0]
-        archives, xnes, rng = copy.deepcopy((theirs.archives, theirs.xnes, theirs.rng))
         state = jax.block_until_ready(_laid_out_as(one.state, theirs.state))
-        return _iteration(one._replace(archives=archives, xnes=xnes, rng=rng, state=state))[1]
+        same = one._replace(archives=theirs.archives, xnes=theirs.xnes, rng=theirs.rng, state=state)
+        return _iteration(same)[1]
 
     def turn() -> tuple[float, float]:
         now[0], taken = _iteration(now[0])
@@ -320,22 +312,23 @@ def _same_iterations(one: ppga.Search, together: ppga.Search) -> tuple[Turn, Tur
 def _reward_update(search: ppga.Search) -> tuple[float, float]:
     """One round of the reward model's learning."""
     occupied = jnp.asarray(archive.occupied(search.archives))
-    weights = jnp.tile(jnp.eye(3)[0], (3, 1))
-    fresh = search.compiled.train(search.state, occupied, weights, True, 1, 0)
+    assert search.demos is not None
+    fresh = search.engine.rollout(search.state, occupied)
     jax.block_until_ready(fresh.theta)
     began = time.monotonic()
-    state, _ = search.compiled.update_reward(fresh.state, occupied, search.demos, fresh.transitions)
+    state, _ = search.engine.update_reward(fresh.state, occupied, search.demos, fresh.transitions)
     jax.block_until_ready(state.reward)
     return 1.0, time.monotonic() - began
 
 
 def _update_flop(search: ppga.Search) -> float:
     """Floating-point operations of one VPPO update: forward and backward passes of all epochs, and the acting."""
-    config, env = search.config, search.compiled.parts.env
-    sizes = [(env.obs_size, *config.actor_hidden, env.action_size), (env.obs_size, *config.critic_hidden, 3)]
-    weights = [sum(a * b for a, b in zip(layers, layers[1:], strict=False)) for layers in sizes]
-    steps = config.window * config.num_envs
-    learning = 3 * sum(weights) * config.epochs  # forward once, backward twice as much
+    config, env = search.config, search.engine.env
+    actor = (env.obs_size, *config.ppo.actor_hidden, env.action_size)
+    critic = (env.obs_size, *config.ppo.critic_hidden, search.engine.objectives)
+    weights = [sum(a * b for a, b in zip(layers, layers[1:], strict=False)) for layers in (actor, critic)]
+    steps = config.ppo.rollout_length * config.ppo.num_envs
+    learning = 3 * sum(weights) * config.ppo.epochs  # forward once, backward twice as much
     return 2.0 * steps * (learning + weights[0] + 2 * weights[1])  # acting; values of both ends of each step
 
 

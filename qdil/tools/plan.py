@@ -1,6 +1,7 @@
 """What a run will do and about how long it will take on this machine, before it is begun."""
 
 import json
+import math
 import time
 from typing import NamedTuple
 
@@ -8,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdil.compiled import Compiled, compile_run
 from qdil.config import Config, to_json
+from qdil.engine.engine import Engine, State, Trained
+from qdil.imitation.demos import made_up
 from qdil.imitation.reward_model import Demonstrations
-from qdil.phases import Parts, State, Trained
-from qdil.registry import bases, parse_method
+from qdil.methods import parse_method
 
 CALIBRATION_UPDATES = 3
 
@@ -21,7 +22,7 @@ class Steps(NamedTuple):
     """Environment steps of a run's parts; those of episodes as if each lasted to its time limit."""
 
     warm_up: int
-    training: int  # both VPPO phases of all iterations, and the windows that a reward model learns from
+    training: int  # both VPPO phases of all iterations, and the rollouts that a reward model learns from
     evaluation: int
     rescoring: int  # of all elites at the end, as if every cell were filled
 
@@ -59,89 +60,81 @@ def plan(config: Config) -> Plan:
 
     A method that imitates is timed on made-up demonstrations. Not timed: what its reward costs in evaluated episodes.
     """
-    compiled = compile_run(config)
-    learns = bool(compiled.model.learns)
-    rounds = config.iterations + _batches(config.warmup_updates, config.walk_updates) if learns else 0
-    return Plan(count(config, learns, compiled.parts.streams - 1), _calibrated(config, compiled), rounds)
+    engine = Engine(config)
+    rounds = config.ppga.iterations + math.ceil(config.ppga.warmup_updates / config.ppga.walk_updates)
+    learns = engine.model.learns
+    return Plan(count(config, learns, engine.k), _calibrated(engine), rounds if learns else 0)
 
 
 def count(config: Config, learns: bool, k: int) -> Steps:
     """Environment steps of a run whose reward model ``learns`` or not, with ``k`` measures."""
-    window, episodes = config.window * config.num_envs, config.candidates * config.episodes * config.episode_length
-    updates = config.gradient_updates + config.walk_updates + int(learns)
+    ppga = config.ppga
+    rollout = config.ppo.rollout_length * config.ppo.num_envs
+    episodes = ppga.candidates * config.evaluation.episodes * config.simulation.episode_length
+    updates = ppga.gradient_updates + ppga.walk_updates + int(learns)
     return Steps(
-        config.warmup_updates * window,
-        config.iterations * updates * window,
-        config.iterations * episodes,
-        _batches(config.cells**k, config.candidates) * episodes,
+        ppga.warmup_updates * rollout,
+        ppga.iterations * updates * rollout,
+        ppga.iterations * episodes,
+        math.ceil(ppga.cells**k / ppga.candidates) * episodes,
     )
 
 
-def _batches(count: int, size: int) -> int:
-    return -(-count // size)
-
-
-def _calibrated(config: Config, compiled: Compiled) -> Speed:
+def _calibrated(engine: Engine) -> Speed:
     """Everything once, to compile it, and then again by the clock."""
-    began = time.monotonic()
-    imitates = bases()[parse_method(config.method).base].imitates
-    demos = _made_up(config, compiled.parts) if imitates else None
-    compiled.ahead(jax.random.key(0), demos)  # as a run begins
-    state = compiled.init(jax.random.key(0), demos)
-    trained, _ = _train(config, compiled, state, 1)
-    _evaluate(config, compiled, state), _learn(config, compiled, trained, demos)
+    began, config = time.monotonic(), engine.config
+    rows = config.demos.demo_episodes * config.simulation.episode_length
+    demos = made_up(engine.env, rows) if parse_method(config.method).base.imitates else None
+    engine.compile_all(jax.random.key(0), demos)  # as a run begins
+    state = engine.init(jax.random.key(0), demos)
+    trained, _ = _train(engine, state, 1)
+    _evaluate(engine, state)
+    _learn(engine, trained, demos)
     start_seconds = time.monotonic() - began
-    trained, seconds = _train(config, compiled, trained.state, CALIBRATION_UPDATES)
+    trained, seconds = _train(engine, trained.state, CALIBRATION_UPDATES)
     return Speed(
         start_seconds,
-        CALIBRATION_UPDATES * config.window * config.num_envs / seconds,
-        _evaluate(config, compiled, state),
-        _learn(config, compiled, trained, demos),
+        CALIBRATION_UPDATES * config.ppo.rollout_length * config.ppo.num_envs / seconds,
+        _evaluate(engine, state),
+        _learn(engine, trained, demos),
     )
 
 
-def _made_up(config: Config, parts: Parts) -> Demonstrations:
-    """As many rows as demonstrations can have, of noise: fit to be timed."""
-    env = parts.env
-    widths, rows = (env.obs_size, env.action_size, env.obs_size, parts.streams - 1), config.episode_length
-    keys = jax.random.split(jax.random.key(0), len(widths))
-    shapes = [(config.demo_episodes * rows, width) for width in widths]
-    return Demonstrations(*(jax.random.normal(key, shape) for key, shape in zip(keys, shapes, strict=True)))
+def _occupied(engine: Engine) -> jax.Array:
+    return jnp.zeros((engine.config.ppga.cells,) * engine.k, bool)
 
 
-def _occupied(config: Config, compiled: Compiled) -> jax.Array:
-    return jnp.zeros((config.cells,) * (compiled.parts.streams - 1), bool)
-
-
-def _train(config: Config, compiled: Compiled, state: State, updates: int) -> tuple[Trained, float]:
+def _train(engine: Engine, state: State, updates: int) -> tuple[Trained, float]:
     """So many VPPO updates, whole epochs included, and their seconds."""
     began = time.monotonic()
-    weights = jnp.eye(compiled.parts.streams)
-    trained = compiled.train(state, _occupied(config, compiled), weights, False, updates, config.epochs)
+    trained = engine.train_copies(state, _occupied(engine), updates)
     jax.block_until_ready(trained.theta)
     return trained, time.monotonic() - began
 
 
-def _learn(config: Config, compiled: Compiled, trained: Trained, demos: Demonstrations | None) -> float:
+def _learn(engine: Engine, trained: Trained, demos: Demonstrations | None) -> float:
     """Seconds of a round of the reward model's learning."""
-    if not compiled.model.learns:
+    if demos is None or not engine.model.learns:
         return 0.0
     began = time.monotonic()
-    occupied = _occupied(config, compiled)
-    state, _ = compiled.update_reward(trained.state, occupied, demos, trained.transitions)
+    state, _ = engine.update_reward(trained.state, _occupied(engine), demos, trained.transitions)
     jax.block_until_ready(jax.tree.leaves(state.reward))
     return time.monotonic() - began
 
 
-def _evaluate(config: Config, compiled: Compiled, state: State) -> float:
-    """Steps per second of candidates; of robots that fall, whose episodes are short yet, to the end of the chunk."""
-    coefficients = jnp.zeros((config.candidates, compiled.parts.streams))
-    policies, _ = compiled.branch(state, jnp.zeros((compiled.parts.streams, 1)), coefficients)
-    keys = compiled.place(jax.random.split(jax.random.key(0), (config.candidates, config.episodes)))
-    actors, tally = compiled.episodes.begin(keys)
-    began = time.monotonic()
-    length = np.asarray(compiled.episodes.advance(policies, actors, tally)[1].length)
-    return float(np.sum(np.ceil(length / config.eval_chunk))) * config.eval_chunk / (time.monotonic() - began)
+def _evaluate(engine: Engine, state: State) -> float:
+    """Steps per second of candidates.
+
+    Early robots fall soon, and a robot that falls takes time to the end of its chunk: so chunks count whole.
+    """
+    config = engine.config
+    coefficients = np.zeros((config.ppga.candidates, engine.objectives))
+    policies, _ = engine.branch(state, jnp.zeros((engine.objectives, 1)), coefficients)
+    keys = engine.place(jax.random.split(jax.random.key(0), (config.ppga.candidates, config.evaluation.episodes)))
+    envs, tally = engine.search.begin_episodes(keys)
+    began, chunk = time.monotonic(), config.evaluation.eval_chunk_steps
+    length = np.asarray(engine.search.advance_episodes(policies, envs, tally)[1].length)
+    return float(np.sum(np.ceil(length / chunk))) * chunk / (time.monotonic() - began)
 
 
 def report(config: Config, planned: Plan) -> str:

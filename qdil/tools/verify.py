@@ -1,18 +1,18 @@
 """Is a run what its folder says: hashes again, and a sample of its elites on new episodes."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdil import run
-from qdil.compiled import compile_run
-from qdil.config import ConfigError, from_json
+from qdil.config import Config, change, from_json
+from qdil.engine.engine import Engine
+from qdil.errors import ConfigError
 from qdil.files import read_json, sha256
-from qdil.search.evaluate import Policies
+from qdil.rl.evaluate import Policies
+from qdil.runs.folder import is_finished, read_archive
 
 
 class Verified(NamedTuple):
@@ -44,10 +44,10 @@ def verify(folder: Path, seed: int = 0) -> Verified:
         return nothing
     try:
         config = from_json(read_json(folder / "config.json"))
-        elites = run.read_archive(folder, policies=True)
+        elites = read_archive(folder, policies=True)
     except ConfigError as error:
         return nothing._replace(obstacle=str(error))
-    count = min(config.candidates, len(elites["index"]))
+    count = min(config.ppga.candidates, len(elites["index"]))
     if count == 0:
         return nothing._replace(obstacle="The archive is empty.")
     rows = np.random.default_rng(seed).choice(len(elites["index"]), count, replace=False)
@@ -63,7 +63,7 @@ def verify(folder: Path, seed: int = 0) -> Verified:
 
 def _expected(folder: Path) -> dict[str, str]:
     """The hashes by file name that a run's manifest holds."""
-    if not run.is_finished(folder):
+    if not is_finished(folder):
         raise ConfigError(f"there is no finished run in {folder}.")
     expected = read_json(folder / "manifest.json").get("sha256")
     if not isinstance(expected, dict):
@@ -71,16 +71,17 @@ def _expected(folder: Path) -> dict[str, str]:
     return expected
 
 
-def _evaluate(config: Any, elites: dict[str, np.ndarray], rows: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _evaluate(
+    config: Config, elites: dict[str, np.ndarray], rows: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """True return (λ,) and measures (λ, k) of elites ``rows``, the last one repeated to fill a batch."""
-    compiled = compile_run(replace(config, method="true", devices=0))  # it may have been made on more than are here
-    rows = np.concatenate([rows, np.full(config.candidates - len(rows), rows[-1])])
-    fields: Any = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
+    engine = Engine(change(config, method="true", devices=0))  # it may have been made on more devices than are here
+    rows = np.concatenate([rows, np.full(config.ppga.candidates - len(rows), rows[-1])])
+    solution, mean, std = (jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std"))
     key, init_key = jax.random.split(jax.random.key(seed))
-    state = compiled.init(init_key, None)
-    keys = compiled.place(jax.random.split(key, (config.candidates, config.episodes)))
-    occupied = jnp.zeros((config.cells,) * elites["measures"].shape[1], bool)
-    scores = compiled.score(compiled.place(Policies(*fields)), state, occupied, keys)
+    occupied = jnp.zeros((config.ppga.cells,) * elites["measures"].shape[1], bool)
+    policies = engine.place(Policies(solution, mean, std))
+    scores = engine.score(engine.init(init_key, None), occupied, policies, key)
     return np.asarray(scores.true_return), np.asarray(scores.measures)
 
 

@@ -4,18 +4,15 @@ r = log D(s, a, s') − log(1 − D(s, a, s')), which is the discriminator's log
 Fu et al. give D the form exp(f)/(exp(f) + π); the paper's is logistic regression, and its text mentions no penalty.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
 from qdil.config import Config
-from qdil.imitation.learning import Fitted, by_adam
 from qdil.imitation.reward_model import InputModel, Inputs, features
 from qdil.imitation.rewards.gail import cross_entropy, logits
-from qdil.registry import register
-from qdil.search.networks import init_mlp
-from qdil.types import Params
+from qdil.imitation.training import AdamState, by_adam
+from qdil.rl.networks import init_mlp
+from qdil.types import Params, RewardMemory
 
 
 def transition_features(inputs: Inputs) -> jax.Array:
@@ -23,7 +20,6 @@ def transition_features(inputs: Inputs) -> jax.Array:
     return jnp.concatenate([features(inputs), inputs.next_obs], axis=-1)
 
 
-@register("airl", "log D − log(1−D) of a discriminator of (s, a, s')", signed=True)
 def airl(config: Config, widths: Inputs) -> InputModel:
     """Rewards log D − log(1−D)."""
 
@@ -32,10 +28,12 @@ def airl(config: Config, widths: Inputs) -> InputModel:
 
     begin, update = by_adam(config, loss)
 
-    def init(key: jax.Array, expert: Inputs) -> Fitted:
-        return begin(init_mlp(key, (sum(widths), *config.reward_hidden, 1)))
+    def init(key: jax.Array, expert: Inputs) -> AdamState:
+        return begin(init_mlp(key, (sum(widths), *config.reward.reward_hidden, 1)))
 
-    def reward(state: Fitted, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
-        return carry, logits(state.params, transition_features(inputs))
+    def reward(
+        state: AdamState, memory: RewardMemory, inputs: Inputs, ended: jax.Array
+    ) -> tuple[RewardMemory, jax.Array]:
+        return memory, logits(state.params, transition_features(inputs))
 
-    return InputModel(init, lambda state, num_envs: (), reward, update)
+    return InputModel(init, reward, update=update)

@@ -14,11 +14,10 @@ import jax
 import jax.numpy as jnp
 
 from qdil.config import Config
-from qdil.imitation.learning import Fitted, by_adam
 from qdil.imitation.reward_model import InputModel, Inputs, features
-from qdil.registry import register
-from qdil.search.networks import init_mlp, mlp
-from qdil.types import Params
+from qdil.imitation.training import AdamState, by_adam
+from qdil.rl.networks import init_mlp, mlp
+from qdil.types import Params, RewardMemory
 
 
 def logits(params: Params, x: jax.Array) -> jax.Array:
@@ -57,20 +56,23 @@ def discriminator_loss(
     return total + penalty * gradient_penalty(lambda x: logits(params, x), expert, policy, mix), info
 
 
-@register("gail", "−log(1−D) of GAIL's discriminator")
 def gail(config: Config, widths: Inputs) -> InputModel:
     """Rewards −log(1−D(s, a, δ)) ≥ 0."""
 
     def loss(params: Params, key: jax.Array, expert: Inputs, policy: Inputs) -> tuple[jax.Array, dict[str, jax.Array]]:
         x, y = features(expert), features(policy)
-        return discriminator_loss(params, x, y, mixing_weights(key, x, config.penalty_mixing), config.gradient_penalty)
+        return discriminator_loss(
+            params, x, y, mixing_weights(key, x, config.reward.penalty_mixing), config.reward.gradient_penalty
+        )
 
     begin, update = by_adam(config, loss)
 
-    def init(key: jax.Array, expert: Inputs) -> Fitted:
-        return begin(init_mlp(key, (widths.obs + widths.action + widths.proxy, *config.reward_hidden, 1)))
+    def init(key: jax.Array, expert: Inputs) -> AdamState:
+        return begin(init_mlp(key, (widths.obs + widths.action + widths.proxy, *config.reward.reward_hidden, 1)))
 
-    def reward(state: Fitted, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
-        return carry, jax.nn.softplus(logits(state.params, features(inputs)))
+    def reward(
+        state: AdamState, memory: RewardMemory, inputs: Inputs, ended: jax.Array
+    ) -> tuple[RewardMemory, jax.Array]:
+        return memory, jax.nn.softplus(logits(state.params, features(inputs)))
 
-    return InputModel(init, lambda state, num_envs: (), reward, update)
+    return InputModel(init, reward, update=update)

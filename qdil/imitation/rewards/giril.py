@@ -11,18 +11,15 @@ as the paper has it. Without actions (``giril-obs``) â is the recognition netwo
 out.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import optax
 
 from qdil.config import Config
-from qdil.imitation.learning import Fitted, rows
 from qdil.imitation.reward_model import InputModel, Inputs
-from qdil.registry import register
-from qdil.search.networks import init_mlp, mlp
-from qdil.types import Params
+from qdil.imitation.training import AdamState, rows
+from qdil.rl.networks import init_mlp, mlp
+from qdil.types import Params, RewardMemory
 
 LATENT_WITHOUT_ACTIONS = 6  # size of â where no action tells it (walker2d's and halfcheetah's own)
 
@@ -69,12 +66,11 @@ def loss(params: Params, key: jax.Array, inputs: Inputs, action_weight: float) -
     return jnp.mean(total)
 
 
-@register("giril", "surprise of a model of the demonstrator's transitions, learned before the run")
 def giril(config: Config, widths: Inputs) -> InputModel:
     """Rewards ‖ŝ' − s'‖² ≥ 0."""
-    opt = optax.adam(config.giril_learning_rate)
+    opt = optax.adam(config.reward.giril_learning_rate)
     state_size, latent = widths.obs + widths.proxy, widths.action or LATENT_WITHOUT_ACTIONS
-    hidden = config.reward_hidden
+    hidden = config.reward.reward_hidden
 
     def init(key: jax.Array, expert: Inputs) -> Params:
         keys = jax.random.split(key, 4)
@@ -84,20 +80,19 @@ def giril(config: Config, widths: Inputs) -> InputModel:
             "decoder": init_mlp(keys[2], (latent + state_size, *hidden, widths.next_obs)),
         }
 
-        def step(now: Fitted, key: jax.Array) -> tuple[Fitted, None]:
+        def step(now: AdamState, key: jax.Array) -> tuple[AdamState, None]:
             row_key, noise_key = jax.random.split(key)
-            batch = rows(row_key, expert, config.reward_batch)
-            grads = jax.grad(loss)(now.params, noise_key, batch, config.giril_action_weight)
+            batch = rows(row_key, expert, config.reward.reward_batch)
+            grads = jax.grad(loss)(now.params, noise_key, batch, config.reward.giril_action_weight)
             change, opt_state = opt.update(grads, now.opt)
-            return Fitted(optax.apply_updates(now.params, change), opt_state), None
+            return AdamState(optax.apply_updates(now.params, change), opt_state), None
 
-        learned, _ = jax.lax.scan(step, Fitted(params, opt.init(params)), jax.random.split(keys[3], config.giril_steps))
+        learned, _ = jax.lax.scan(
+            step, AdamState(params, opt.init(params)), jax.random.split(keys[3], config.reward.giril_steps)
+        )
         return learned.params
 
-    def reward(state: Params, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
-        return carry, reconstruction_error(state, inputs)
+    def reward(state: Params, memory: RewardMemory, inputs: Inputs, ended: jax.Array) -> tuple[RewardMemory, jax.Array]:
+        return memory, reconstruction_error(state, inputs)
 
-    def update(key: jax.Array, state: Params, expert: Inputs, policy: Inputs):
-        return state, {}
-
-    return InputModel(init, lambda state, num_envs: (), reward, update, learns=False, normaliser="expert")
+    return InputModel(init, reward, normaliser="expert")

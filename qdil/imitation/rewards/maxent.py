@@ -7,17 +7,14 @@ A reward that only ever rises on one set and falls on another has no bound, so t
 r ∈ (−1, 1).
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
 from qdil.config import Config
-from qdil.imitation.learning import Fitted, by_adam
 from qdil.imitation.reward_model import InputModel, Inputs, features
-from qdil.registry import register
-from qdil.search.networks import init_mlp, mlp
-from qdil.types import Params
+from qdil.imitation.training import AdamState, by_adam
+from qdil.rl.networks import init_mlp, mlp
+from qdil.types import Params, RewardMemory
 
 
 def rewards_of(params: Params, x: jax.Array) -> jax.Array:
@@ -30,7 +27,6 @@ def negative_log_likelihood_gap(params: Params, expert: jax.Array, policy: jax.A
     return jnp.mean(rewards_of(params, policy)) - jnp.mean(rewards_of(params, expert))
 
 
-@register("maxent", "a reward network raised on demonstrations and lowered on the policy", signed=True)
 def maxent(config: Config, widths: Inputs) -> InputModel:
     """Rewards r_ψ(s, a, δ)."""
 
@@ -40,10 +36,12 @@ def maxent(config: Config, widths: Inputs) -> InputModel:
 
     begin, update = by_adam(config, loss)
 
-    def init(key: jax.Array, expert: Inputs) -> Fitted:
-        return begin(init_mlp(key, (widths.obs + widths.action + widths.proxy, *config.reward_hidden, 1)))
+    def init(key: jax.Array, expert: Inputs) -> AdamState:
+        return begin(init_mlp(key, (widths.obs + widths.action + widths.proxy, *config.reward.reward_hidden, 1)))
 
-    def reward(state: Fitted, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
-        return carry, rewards_of(state.params, features(inputs))
+    def reward(
+        state: AdamState, memory: RewardMemory, inputs: Inputs, ended: jax.Array
+    ) -> tuple[RewardMemory, jax.Array]:
+        return memory, rewards_of(state.params, features(inputs))
 
-    return InputModel(init, lambda state, num_envs: (), reward, update)
+    return InputModel(init, reward, update=update)

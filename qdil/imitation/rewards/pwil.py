@@ -18,7 +18,6 @@ import jax.numpy as jnp
 
 from qdil.config import Config
 from qdil.imitation.reward_model import InputModel, Inputs, features
-from qdil.registry import register
 
 
 class PwilState(NamedTuple):
@@ -59,10 +58,9 @@ def couple(distance: jax.Array, mass: jax.Array, amount: int) -> tuple[jax.Array
     return mass, cost
 
 
-@register("pwil", "a falling function of the cost of coupling the episode with the demonstrations")
 def pwil(config: Config, widths: Inputs) -> InputModel:
     """Rewards f(c) ∈ (0, α]."""
-    steps, size = config.episode_length, widths.obs + widths.action + widths.proxy
+    steps, size = config.simulation.episode_length, widths.obs + widths.action + widths.proxy
 
     def init(key: jax.Array, expert: Inputs) -> PwilState:
         x = features(expert)
@@ -80,13 +78,10 @@ def pwil(config: Config, widths: Inputs) -> InputModel:
         def one_step(mass: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             x, ended = now
             left, cost = couple(distances(x, state.atoms), mass, count)
-            restored = ended[:, None] if config.pwil_coupling == "episode" else jnp.ones_like(ended)[:, None]
+            restored = ended[:, None] if config.reward.pwil_coupling == "episode" else jnp.ones_like(ended)[:, None]
             return jnp.where(restored, steps, left), cost / (count * steps)
 
         mass, cost = jax.lax.scan(one_step, mass, (features(inputs) / state.spread, ended))
-        return mass, config.pwil_alpha * jnp.exp(-config.pwil_beta * steps * cost / jnp.sqrt(size))
+        return mass, config.reward.pwil_alpha * jnp.exp(-config.reward.pwil_beta * steps * cost / jnp.sqrt(size))
 
-    def update(key: jax.Array, state: PwilState, expert: Inputs, policy: Inputs):
-        return state, {}
-
-    return InputModel(init, begin, reward, update, learns=False, normaliser="expert")
+    return InputModel(init, reward, begin, normaliser="expert")

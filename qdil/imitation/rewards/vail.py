@@ -9,19 +9,18 @@ what is meant. Like GAIL here it has the gradient penalty, through the mean late
 Departure from the authors' released program: β adapts and z is sampled (``vail_beta=fixed``: weight 1, mean latent).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
 from qdil.config import Config
-from qdil.imitation.learning import in_minibatches
 from qdil.imitation.reward_model import InputModel, Inputs, features
 from qdil.imitation.rewards.gail import cross_entropy, gradient_penalty, logits, mixing_weights
-from qdil.registry import register
-from qdil.search.networks import init_mlp, mlp
-from qdil.types import Params
+from qdil.imitation.training import in_minibatches
+from qdil.rl.networks import init_mlp, mlp
+from qdil.types import Params, RewardMemory
 
 
 class VailState(NamedTuple):
@@ -54,34 +53,35 @@ def loss(
     """Eq. 5's Lagrangian at ``beta`` on feature rows (N, F), with the gradient penalty."""
     noise_key, mix_key = jax.random.split(key)
     mean, log_std = encode(params, jnp.concatenate([expert, policy]))
-    noise = jax.random.normal(noise_key, mean.shape) if config.vail_beta == "adaptive" else 0.0
+    noise = jax.random.normal(noise_key, mean.shape) if config.reward.vail_beta == "adaptive" else 0.0
     expert_logit, policy_logit = jnp.split(logits(params["head"], mean + jnp.exp(log_std) * noise), 2)
     total, info = cross_entropy(expert_logit, policy_logit)
     information = jnp.mean(kl_to_standard_normal(mean, log_std))
-    mix = mixing_weights(mix_key, expert, config.penalty_mixing)
+    mix = mixing_weights(mix_key, expert, config.reward.penalty_mixing)
     penalty = gradient_penalty(lambda x: logits(params["head"], encode(params, x)[0]), expert, policy, mix)
-    constraint = beta * (information - config.vail_information)
-    return total + constraint + config.gradient_penalty * penalty, {**info, "information": information}
+    constraint = beta * (information - config.reward.vail_information)
+    return total + constraint + config.reward.gradient_penalty * penalty, {**info, "information": information}
 
 
-@register("vail", "−log(1−D) of VAIL's discriminator, behind an information bottleneck")
 def vail(config: Config, widths: Inputs) -> InputModel:
     """Rewards −log(1−D(μ_E'(s, a, δ))) ≥ 0 (eq. 6)."""
-    opt = optax.adam(config.reward_learning_rate)
+    opt = optax.adam(config.reward.reward_learning_rate)
     size = widths.obs + widths.action + widths.proxy
-    fixed = config.vail_beta == "fixed"
+    fixed = config.reward.vail_beta == "fixed"
 
     def init(key: jax.Array, expert: Inputs) -> VailState:
         encoder_key, head_key = jax.random.split(key)
         params = {
-            "encoder": init_mlp(encoder_key, (size, *config.reward_hidden, 2 * config.vail_latent)),
-            "head": init_mlp(head_key, (config.vail_latent, 1)),
+            "encoder": init_mlp(encoder_key, (size, *config.reward.reward_hidden, 2 * config.reward.vail_latent)),
+            "head": init_mlp(head_key, (config.reward.vail_latent, 1)),
         }
         return VailState(params, opt.init(params), jnp.asarray(1.0 if fixed else 0.0))
 
-    def reward(state: VailState, carry: Any, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
+    def reward(
+        state: VailState, memory: RewardMemory, inputs: Inputs, ended: jax.Array
+    ) -> tuple[RewardMemory, jax.Array]:
         mean, _ = encode(state.params, features(inputs))
-        return carry, jax.nn.softplus(logits(state.params["head"], mean))
+        return memory, jax.nn.softplus(logits(state.params["head"], mean))
 
     def step(key: jax.Array, state: VailState, expert: Inputs, policy: Inputs):
         grads, info = jax.grad(loss, has_aux=True)(
@@ -90,8 +90,8 @@ def vail(config: Config, widths: Inputs) -> InputModel:
         change, opt_state = opt.update(grads, state.opt)
         beta = state.beta
         if not fixed:
-            beta = next_beta(beta, info["information"], config.vail_information, config.vail_beta_rate)
+            beta = next_beta(beta, info["information"], config.reward.vail_information, config.reward.vail_beta_rate)
         return VailState(optax.apply_updates(state.params, change), opt_state, beta), {**info, "beta": beta}
 
-    update = in_minibatches(step, config.reward_steps, config.reward_batch)
-    return InputModel(init, lambda state, num_envs: (), reward, update)
+    update = in_minibatches(step, config.reward.reward_steps, config.reward.reward_batch)
+    return InputModel(init, reward, update=update)

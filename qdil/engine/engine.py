@@ -1,0 +1,202 @@
+"""A run's programs put together in the form that Algorithm 1 asks for, and the host's loops over them."""
+
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdil.config import Config
+from qdil.devices.hosts import to_host
+from qdil.devices.mesh import by_environment, choose_num_devices, laid_out, replicated
+from qdil.engine import aot
+from qdil.engine.programs import RewardPrograms, SearchPrograms, reward_programs, search_programs
+from qdil.imitation.reward_model import Demonstrations, RewardModel
+from qdil.methods import name_of, parse_method
+from qdil.rl import networks, vppo
+from qdil.rl.evaluate import Policies, Scores
+from qdil.rl.rollout import EnvBatch
+from qdil.rl.vppo import Experience, TrainState, Weighting
+from qdil.robots import register
+from qdil.robots.environment import Environment
+from qdil.types import ObsStats, RewardContext, RewardMemory, RewardState, Transitions
+
+Tree = TypeVar("Tree")
+
+
+class State(NamedTuple):
+    """Everything on the devices that one QD iteration changes; with the archives and xNES, the whole run."""
+
+    key: jax.Array
+    train_state: TrainState  # θ_μ, its critic and their optimisers
+    stats: ObsStats  # the one observation normaliser
+    envs: EnvBatch  # robots in the middle of their episodes
+    reward: RewardState  # ψ
+    memory: RewardMemory  # what the reward model remembers within the robots' episodes
+
+
+class Trained(NamedTuple):
+    """The end of a training phase."""
+
+    state: State
+    theta: jax.Array  # (K, P) the copies' parameters
+    transitions: Transitions  # (T, E) the last rollout
+    info: vppo.Info  # of the last update
+    rolled_back: jax.Array  # () 1.0 if the phase was discarded because a number was not finite
+
+
+class Engine:
+    """What a run computes with; nothing compiles before it is called.
+
+    ``occupied`` (cells, …) bool says which archive cells are filled, for the bonus. Raises ConfigError if robots or
+    candidates cannot be shared out over the devices.
+    """
+
+    def __init__(self, config: Config) -> None:
+        method = parse_method(config.method)
+        self.config = config
+        self.env: Environment = register.make(config.env, config.simulation.backend)
+        per_copy = config.ppo.num_envs // (1 + self.k)
+        self.num_devices = choose_num_devices(config.devices, per_copy, config.ppga.candidates)
+        self.search: SearchPrograms = search_programs(
+            self.env, config.ppo, config.evaluation, config.simulation.episode_length, self.num_devices
+        )
+        without_bonus = name_of(method._replace(bonus=False))
+        self.reward: RewardPrograms = reward_programs(replace(config, method=without_bonus), self.num_devices)
+        self.bonus = (config.bonus.bonus_p, config.bonus.bonus_q) if method.bonus else (0.0, 0.0)  # p, q of eq. 2
+
+    @property
+    def k(self) -> int:
+        """Number of measures."""
+        return len(self.env.measure_names)
+
+    @property
+    def objectives(self) -> int:
+        """Fitness and one per measure: 1 + k."""
+        return 1 + self.k
+
+    @property
+    def model(self) -> RewardModel:
+        """The method's reward model, without the bonus."""
+        return self.reward.model
+
+    def compile_all(self, key: jax.Array, demos: Demonstrations | None) -> None:
+        """Compile every program that a run with this ``key`` and ``demos`` will call."""
+        aot.compile_all(self.search, self.reward, self.config, key, demos)
+
+    def init(self, key: jax.Array, demos: Demonstrations | None) -> State:
+        """The state before the first update."""
+        key, search_key, reward_key = jax.random.split(key, 3)
+        train_state, stats, envs = self.search.init(search_key)
+        return State(key, train_state, stats, envs, *self.reward.init(reward_key, demos))
+
+    # Training phases
+
+    def train_copies(self, state: State, occupied: jax.Array, updates: int) -> Trained:
+        """Algorithm 1, line 4: copy i of θ_μ is trained on objective i alone; copy 0 takes θ_μ's place."""
+        weights = np.eye(self.objectives, dtype=np.float32)
+        return self._train(state, occupied, weights, False, updates, self.config.ppo.epochs)
+
+    def train_policy(self, state: State, occupied: jax.Array, weights: np.ndarray, updates: int) -> Trained:
+        """Algorithm 1, line 17: θ_μ alone is trained, on the objectives weighted by ``weights`` (1+k,)."""
+        return self._train(state, occupied, self._tied(weights), True, updates, self.config.ppo.epochs)
+
+    def rollout(self, state: State, occupied: jax.Array) -> Trained:
+        """One rollout of θ_μ on all robots, from which nothing but the running statistics learns."""
+        weights = np.eye(self.objectives, dtype=np.float32)[0]
+        return self._train(state, occupied, self._tied(weights), True, 1, epochs=0)
+
+    def _tied(self, weights: np.ndarray) -> np.ndarray:
+        """One weighting (1+k,) for every copy."""
+        return np.tile(np.asarray(weights, np.float32), (self.objectives, 1))
+
+    def _train(
+        self, state: State, occupied: jax.Array, weights: np.ndarray, tied: bool, updates: int, epochs: int
+    ) -> Trained:
+        """``updates`` ≥ 1 VPPO updates of K copies of θ_μ; copy 0 takes θ_μ's place.
+
+        A phase that ends in numbers that are not finite is discarded, whole, and reported as ``rolled_back``.
+        """
+        search, reward = self.search, self.reward
+        key, learn_key = jax.random.split(state.key)
+        weighting = Weighting(weights, np.bool_(tied))  # type: ignore[arg-type]
+        learn_key, numbers, weighting, steps, bonus, occupied = laid_out(
+            (
+                learn_key,
+                [np.int32(update) for update in range(updates)],
+                weighting,
+                np.int32(epochs),
+                np.asarray(self.bonus, np.float32),
+                occupied,
+            ),
+            replicated(search.mesh),
+        )
+        copies, stats, envs, memory = search.replicate(state.train_state), state.stats, state.envs, state.memory
+        info: vppo.Info | None = None
+        for number in numbers:
+            envs, transitions, sample = search.collect(copies, stats, envs)
+            context = RewardContext(stats.normaliser, occupied)
+            memory, fitness = reward.compute(state.reward, memory, context, bonus, transitions)
+            # Past some thirty programs in line, a launch blocks a thread that a device may need: they would wait for
+            # each other for ever.
+            jax.block_until_ready(info)
+            experience = Experience(transitions, sample, fitness)
+            copies, stats, info = search.learn(learn_key, number, copies, stats, experience, weighting, steps)
+        assert info is not None, "a training phase has at least one update"
+        train_state, theta, healthy = search.first_copy(copies, stats)
+        if bool(healthy):
+            state = State(key, train_state, stats, envs, state.reward, memory)
+        else:
+            envs, theta = search.discard_update(state.envs, state.train_state.policy)
+            state = state._replace(key=key, envs=envs)
+        return Trained(state, theta, transitions, info, 1.0 - healthy)
+
+    # Candidates
+
+    def branch(self, state: State, theta: jax.Array, coefficients: np.ndarray) -> tuple[Policies, jax.Array]:
+        """Candidates along ``coefficients`` (λ, 1+k) and the Jacobian (1+k, P), see ``qdil.qd.branching``."""
+        c = jnp.asarray(coefficients, jnp.float32)
+        return self.search.branch(state.train_state.policy, state.stats.normaliser, theta, c)
+
+    def score(self, state: State, occupied: jax.Array, policies: Policies, key: jax.Array) -> Scores:
+        """λ policies over whole episodes, n each, by the reward model as it is now (Algorithm 1, lines 9-11)."""
+        search, reward = self.search, self.reward
+        count = (self.config.ppga.candidates, self.config.evaluation.episodes)
+        context = RewardContext(state.stats.normaliser, laid_out(occupied, replicated(search.mesh)))
+        so_far = reward.begin_scoring(state.reward)
+        envs, tally = search.begin_episodes(self.place(jax.random.split(key, count)))
+        while to_host(tally.unfinished).any():
+            envs, tally, transitions, counted = search.advance_episodes(policies, envs, tally)
+            so_far = reward.score_chunk(state.reward, so_far, context, transitions, counted)
+        return search.finish_episodes(tally, so_far.fitness)
+
+    def place(self, tree: Tree) -> Tree:
+        """A tree of arrays with axis (λ) in front, laid out over the devices as ``score`` expects it."""
+        return laid_out(tree, by_environment(self.search.mesh))
+
+    def all_with_normaliser(self, theta: jax.Array, stats: ObsStats) -> Policies:
+        """λ policies ``theta`` (λ, P) under one normaliser, placed."""
+        mean, std = (jnp.broadcast_to(x, (len(theta), *x.shape)) for x in stats.normaliser)
+        return self.place(Policies(theta, mean, std))
+
+    # Reward model and restart
+
+    def update_reward(
+        self, state: State, occupied: jax.Array, demos: Demonstrations, transitions: Transitions
+    ) -> tuple[State, dict[str, jax.Array]]:
+        """Algorithm 1, line 18: the reward model learns from demonstrations and a rollout of the policy."""
+        key, update_key = jax.random.split(state.key)
+        context = RewardContext(state.stats.normaliser, laid_out(occupied, replicated(self.search.mesh)))
+        reward, info = self.reward.update(update_key, state.reward, context, demos, transitions)
+        return state._replace(key=key, reward=reward), info
+
+    def restart_at(self, state: State, elite: dict[str, np.ndarray]) -> State:
+        """Algorithm 1, line 21: θ_μ becomes ``elite``, with that elite's own observation statistics."""
+        theta, mean, std = (jnp.asarray(elite[name]) for name in ("solution", "obs_mean", "obs_std"))
+        train_state, stats = self.search.restart_at(state.train_state, state.stats, theta, mean, std)
+        return state._replace(train_state=train_state, stats=stats)
+
+    def theta_mu(self, state: State) -> jax.Array:
+        """θ_μ (P,)."""
+        return networks.flatten(state.train_state.policy)

@@ -1,0 +1,182 @@
+"""The algorithms PPGA grew from, all in pyribs: MAP-Elites, CMA-ME, CMA-MEGA and CMA-MAEGA, these two also with xNES.
+
+Papers: Mouret & Clune (2015); Fontaine et al. (2020), CMA-ME; Fontaine & Nikolaidis (2021), "Differentiable Quality
+Diversity" (DQD); Fontaine & Nikolaidis (2023), "Covariance Matrix Adaptation MAP-Annealing" (MAP-Annealing). A source
+named beside a setting means the paper and the program published with it.
+
+Departure: equation 16 of the QD-IL paper weighs ∇f with |c_0|. Here, as in pyribs and in the programs of DQD and
+MAP-Annealing, c_0 keeps its sign, so single candidates may also descend.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from ribs.archives import GridArchive
+from ribs.emitters import EmitterBase, EvolutionStrategyEmitter, GaussianEmitter, GradientArborescenceEmitter
+from ribs.schedulers import Scheduler
+
+from qdil.lab.background.problems import Problem
+from qdil.qd.xnes import XNES
+
+
+class Result(NamedTuple):
+    """A finished run."""
+
+    searched: GridArchive  # the archive that guided the search; CMA-MAEGA's is soft
+    archive: GridArchive  # the best solution met in every cell; the same object as ``searched`` unless that is soft
+    history: dict[str, np.ndarray]  # one row per iteration: evaluations, and ``metrics`` of ``archive``
+
+
+class Algorithm(NamedTuple):
+    """What tells the algorithms apart."""
+
+    emitter: Callable[[Problem, GridArchive, int, int], EmitterBase]  # (problem, archive, evaluations, seed)
+    uses_gradients: bool = False
+    soft: bool = False  # search a soft archive (thresholds) beside the plain one
+
+
+def run(
+    problem: Problem,
+    algorithm: str,
+    iterations: int,
+    seed: int,
+    *,
+    cells: int = 100,  # per measure (DQD)
+    batch: int = 36,  # evaluations per emitter and iteration, a gradient point included (DQD)
+    emitters: int = 1,  # that share the archive (DQD; MAP-Annealing has 15)
+    learning_rate: float = 0.01,  # α of CMA-MAEGA's soft archive, 0 ≤ α ≤ 1 (MAP-Annealing, for 100 x 100 cells)
+    threshold_min: float = 0.0,  # threshold of an empty cell there, objective units (MAP-Annealing)
+) -> Result:
+    """Search ``problem`` with one of ``ALGORITHMS``; all of them spend ``iterations * emitters * batch`` evaluations.
+
+    A gradient counts as part of the evaluation at its point, as in DQD. The last two settings concern CMA-MAEGA alone.
+    The same arguments give the same result. ValueError, before any work, for an algorithm or a setting that cannot be.
+    """
+    if algorithm not in ALGORITHMS:
+        raise ValueError(f"There is no algorithm {algorithm!r}: choose one of {', '.join(ALGORITHMS)}.")
+    chosen = ALGORITHMS[algorithm]
+    _refuse_counts(iterations, cells, batch, emitters)
+    if chosen.soft:
+        _refuse_softness(problem, learning_rate, threshold_min)
+    soft = {"learning_rate": learning_rate, "threshold_min": threshold_min} if chosen.soft else {}
+    seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(emitters + 1)]
+    searched = _grid(problem, cells, seed=seeds[0], **soft)
+    sources = [chosen.emitter(problem, searched, batch, s) for s in seeds[1:]]
+    archive = _grid(problem, cells) if chosen.soft else searched
+    scheduler = Scheduler(searched, sources, archive if chosen.soft else None)
+    rows = []
+    for iteration in range(1, iterations + 1):
+        if chosen.uses_gradients:
+            _tell_gradients(problem, scheduler)
+        scheduler.tell(*problem.evaluate(scheduler.ask()))
+        rows.append({"evaluations": iteration * batch * emitters, **metrics(archive)})
+    history = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return Result(searched, archive, history)
+
+
+def metrics(archive: GridArchive) -> dict[str, float]:
+    """QD-score (plain sum of the elites' objectives, no offset), coverage (share of cells filled), best objective.
+
+    Computed from the archive's arrays: what pyribs accumulates in ``stats`` drifts by rounding. Best is not-a-number
+    for an empty archive. The papers of this module divide the QD-score by the number of cells.
+    """
+    stored = archive.data(["index", "objective"], return_type="dict")
+    objective = stored["objective"][np.argsort(stored["index"])]  # one order, whatever filled the cells first
+    return {
+        "qd_score": float(objective.sum()),
+        "coverage": len(objective) / int(archive.cells),
+        "best": float(objective.max()) if len(objective) else float("nan"),
+    }
+
+
+def _gaussian(problem: Problem, archive: GridArchive, batch: int, seed: int) -> EmitterBase:
+    """MAP-Elites: random elites plus isotropic noise."""
+    # The first batch is N(0, I), DQD's initial population (100 there, which came on top of the evaluations).
+    start = np.random.default_rng([seed, 0]).standard_normal((batch, problem.solution_dim))
+    return GaussianEmitter(archive, sigma=problem.sigma, initial_solutions=start, batch_size=batch, seed=seed)
+
+
+def _evolution(problem: Problem, archive: GridArchive, batch: int, seed: int) -> EmitterBase:
+    """CMA-ME with improvement emitters: CMA-ES in solution space, ranked by what it changed in the archive."""
+    return EvolutionStrategyEmitter(
+        archive,
+        x0=np.zeros(problem.solution_dim),  # (DQD)
+        sigma0=problem.sigma,
+        ranker="2imp",  # new cells before improved ones (CMA-ME paper)
+        selection_rule="filter",  # parents are those that entered the archive (CMA-ME paper)
+        restart_rule="no_improvement",  # from a random elite when none did (CMA-ME paper)
+        batch_size=batch,
+        seed=seed,
+    )
+
+
+def _arborescence(
+    problem: Problem, archive: GridArchive, batch: int, seed: int, *, es: Any, ranker: str, restart_rule: Any
+) -> EmitterBase:
+    """CMA-MEGA and CMA-MAEGA: a strategy ``es`` over coefficients of the unit-length gradients at one point θ."""
+    return GradientArborescenceEmitter(
+        archive,
+        x0=np.zeros(problem.solution_dim),  # (DQD)
+        sigma0=problem.sigma_g,
+        lr=1.0,  # θ moves all the way to the parents' weighted mean (DQD)
+        grad_opt="gradient_ascent",  # (DQD)
+        ranker=ranker,
+        # The better half are parents (DQD). pyribs' default takes those that entered the archive as parents: where
+        # none did and the restart rule is "basic", it has no parents, reads their mean as 0 and moves θ to the origin.
+        selection_rule="mu",
+        restart_rule=restart_rule,
+        es=es,
+        batch_size=batch - 1,  # the evaluation of θ itself is the one more
+        seed=seed,
+    )
+
+
+_MEGA = {"ranker": "2imp", "restart_rule": "no_improvement"}  # (DQD)
+_MAEGA = {"ranker": "imp", "restart_rule": "basic"}  # by f − t_e; only the strategy's own restarts (MAP-Annealing)
+
+
+def _dqd(es: Any, rules: dict[str, Any], soft: bool) -> Algorithm:
+    return Algorithm(partial(_arborescence, es=es, **rules), uses_gradients=True, soft=soft)
+
+
+ALGORITHMS = {
+    "map-elites": Algorithm(_gaussian),
+    "cma-me": Algorithm(_evolution),
+    "cma-mega": _dqd("cma_es", _MEGA, soft=False),
+    "cma-maega": _dqd("cma_es", _MAEGA, soft=True),
+    "cma-mega-xnes": _dqd(XNES, _MEGA, soft=False),
+    "cma-maega-xnes": _dqd(XNES, _MAEGA, soft=True),
+}
+
+
+def _grid(problem: Problem, cells: int, **settings: Any) -> GridArchive:
+    k = len(problem.measure_ranges)
+    return GridArchive(solution_dim=problem.solution_dim, dims=[cells] * k, ranges=problem.measure_ranges, **settings)
+
+
+def _tell_gradients(problem: Problem, scheduler: Scheduler) -> None:
+    """Evaluate every emitter's θ with its Jacobian: rows ∇f, ∇m_1 … ∇m_k."""
+    theta = scheduler.ask_dqd()
+    objective_grad, measure_grads = problem.gradients(theta)
+    # A fresh array: pyribs normalises the rows in place.
+    jacobian = np.concatenate([objective_grad[:, None, :], measure_grads], axis=1)
+    scheduler.tell_dqd(*problem.evaluate(theta), jacobian)
+
+
+def _refuse_counts(iterations: int, cells: int, batch: int, emitters: int) -> None:
+    # A strategy needs two samples to rank, and the gradient point is one evaluation more.
+    least = {"iterations": (iterations, 1), "cells": (cells, 1), "batch": (batch, 3), "emitters": (emitters, 1)}
+    for name, (value, smallest) in least.items():
+        if value < smallest:
+            raise ValueError(f"{name} must be at least {smallest}, not {value}.")
+
+
+def _refuse_softness(problem: Problem, learning_rate: float, threshold_min: float) -> None:
+    if not 0 <= learning_rate <= 1:
+        raise ValueError(f"learning_rate must be between 0 and 1, not {learning_rate}.")
+    # The start then always enters the soft archive, so that a restart finds an elite there.
+    start = float(problem.evaluate(np.zeros((1, problem.solution_dim)))[0][0])
+    if not -np.inf < threshold_min < start:
+        raise ValueError(f"threshold_min must be finite and below the start's objective, {start:.6g}.")

@@ -1,0 +1,164 @@
+"""Names of methods: base reward models, the variants that every base gets, and how another module adds a base."""
+
+import re
+from collections.abc import Callable
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
+
+from qdil import plugins
+from qdil.errors import ConfigError
+
+# prefix -> (measure-conditioned, with the measure bonus)
+PREFIXES = {"": (False, False), "mcond-": (True, False), "mbo-": (False, True), "mconbo-": (True, True)}
+OBS_ONLY = "-obs"
+
+Build = Callable[..., Any]  # (config, widths) -> InputModel; without inputs: (config) -> RewardModel
+
+
+class Base(NamedTuple):
+    """A base reward model by name."""
+
+    name: str
+    summary: str  # one line for people
+    function: Build | str  # the function that builds the model, or "module:name" of one that is imported when needed
+    imitates: bool = True  # it reads demonstrations and policy data, so -obs and mcond- mean something
+    signed: bool = False  # its reward may be negative, so an archive must not start from a threshold of 0
+
+    @property
+    def build(self) -> Build:
+        """The function that builds the model. Imports its module, which imports JAX."""
+        return resolve_name(self.function) if isinstance(self.function, str) else self.function
+
+
+_REWARDS = "qdil.imitation.rewards"
+
+# The paper's reward models in the order of its Table 1. Their modules import JAX, so they are named and not imported.
+BUILT_IN = (
+    Base("true", "the environment's own reward: PPGA, the expert", f"{_REWARDS}.plain:true_reward", imitates=False),
+    Base(
+        "zero",
+        "no reward at all: how far the measure bonus alone gets",
+        f"{_REWARDS}.plain:zero_reward",
+        imitates=False,
+        signed=True,
+    ),
+    Base("gail", "−log(1−D) of GAIL's discriminator", f"{_REWARDS}.gail:gail"),
+    Base("vail", "−log(1−D) of VAIL's discriminator, behind an information bottleneck", f"{_REWARDS}.vail:vail"),
+    Base("airl", "log D − log(1−D) of a discriminator of (s, a, s')", f"{_REWARDS}.airl:airl", signed=True),
+    Base(
+        "giril",
+        "surprise of a model of the demonstrator's transitions, learned before the run",
+        f"{_REWARDS}.giril:giril",
+    ),
+    Base(
+        "pwil",
+        "a falling function of the cost of coupling the episode with the demonstrations",
+        f"{_REWARDS}.pwil:pwil",
+    ),
+    Base(
+        "maxent",
+        "a reward network raised on demonstrations and lowered on the policy",
+        f"{_REWARDS}.maxent:maxent",
+        signed=True,
+    ),
+)
+_BASES: dict[str, Base] = {base.name: base for base in BUILT_IN}
+
+
+class Method(NamedTuple):
+    """A method name taken apart."""
+
+    base: Base  # which reward model
+    conditioned: bool  # δ(s) among the reward model's inputs (eq. 3)
+    bonus: bool  # measure bonus added to the reward that VPPO maximises (eq. 2)
+    obs_only: bool = False  # actions hidden from the reward model (eq. 20)
+
+
+def register(name: str, summary: str, imitates: bool = True, signed: bool = False) -> Callable[[Build], Build]:
+    """Make a reward model known by ``name``; it gets all variants: ``mcond-``, ``mbo-``, ``mconbo-`` and ``-obs``.
+
+    Use it as a decorator, in a module of your own, on a function that builds the model from the run's configuration
+    and the widths of the inputs that it will see (``Inputs`` of integers: 0 where a variant hides something)::
+
+        @register("nearest", "minus the distance to the nearest demonstrated state", signed=True)
+        def nearest(config, widths):
+            def reward(state, memory, inputs, ended):
+                rows = inputs.obs[..., None, :] - state.obs
+                return memory, -jnp.linalg.norm(rows, axis=-1).min(-1)
+
+            return InputModel(init=lambda key, expert: expert, reward=reward)
+
+    ``qdil --import my_module train --method mconbo-nearest …`` finds it, and so does the entry-point group
+    ``qdil.plugins`` of an installed package. ``imitates=False`` is for a reward without demonstrations: a function of
+    the configuration alone that returns a ``RewardModel``; it has no conditioned and no ``-obs`` variant.
+    ``signed``: rewards may be negative. Raises ValueError for a name that is taken, that reads like a variant, or that
+    is not made of small letters, digits, - and _.
+    """
+
+    def remember(function: Build) -> Build:
+        taken = _BASES.get(name)
+        if taken is not None and taken.function is not function:
+            raise ValueError(f"there is already a reward model called '{name}'.")
+        if not re.fullmatch("[a-z][a-z0-9_-]*", name):
+            raise ValueError(
+                f"'{name}' cannot name a reward model: use small letters, digits, - and _ (it names folders)."
+            )
+        if name.endswith(OBS_ONLY) or any(name.startswith(prefix) for prefix in PREFIXES if prefix):
+            raise ValueError(f"'{name}' cannot name a reward model: it reads like a variant of another.")
+        _BASES[name] = Base(name, summary, function, imitates, signed)
+        return function
+
+    return remember
+
+
+def bases() -> dict[str, Base]:
+    """All base reward models by name, the paper's first."""
+    plugins.load()
+    return dict(_BASES)
+
+
+def parse_method(name: str) -> Method:
+    """Take a method name apart, e.g. ``mconbo-gail-obs``. Raises ConfigError for a name that means nothing."""
+    known = bases()
+    for prefix in sorted(PREFIXES, key=len, reverse=True):
+        if not name.startswith(prefix):
+            continue
+        rest = name[len(prefix) :]
+        conditioned, bonus = PREFIXES[prefix]
+        obs_only = rest not in known and rest.endswith(OBS_ONLY)
+        rest = rest.removesuffix(OBS_ONLY) if obs_only else rest
+        if rest not in known:
+            continue
+        if not known[rest].imitates and (conditioned or obs_only):
+            what = "condition" if conditioned else "hide actions from"
+            raise ConfigError(
+                f"method '{name}': the reward of '{rest}' has no inputs to {what}; use {rest} or mbo-{rest}."
+            )
+        return Method(known[rest], conditioned, bonus, obs_only)
+    raise ConfigError(f"unknown method '{name}'; choose one of {', '.join(method_names())}.")
+
+
+def name_of(method: Method) -> str:
+    """Undo ``parse_method``."""
+    prefix = next(p for p, parts in PREFIXES.items() if parts == (method.conditioned, method.bonus))
+    return prefix + method.base.name + (OBS_ONLY if method.obs_only else "")
+
+
+def method_names() -> list[str]:
+    """All method names, base by base, plain ones first."""
+    names = []
+    for base in bases().values():
+        for suffix in ("", OBS_ONLY) if base.imitates else ("",):
+            names += [p + base.name + suffix for p, (conditioned, _) in PREFIXES.items()
+                      if base.imitates or not conditioned]  # fmt: skip
+    return names
+
+
+def describe(name: str) -> str:
+    """One line that says what a method is."""
+    method = parse_method(name)
+    parts = [method.base.summary]
+    parts += ["δ(s) among its inputs"] if method.conditioned else []
+    parts += ["actions hidden from it"] if method.obs_only else []
+    parts += ["plus the measure bonus"] if method.bonus else []
+    return "; ".join(parts)

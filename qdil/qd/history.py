@@ -1,0 +1,38 @@
+"""When each cell of the result archive took its elites: enough to replay how the archive filled."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class History(NamedTuple):
+    """One row per new elite, in order of iteration and, within it, of cell."""
+
+    iteration: np.ndarray  # (n,) int32, the QD iteration after which the elite was there, from 1
+    cell: np.ndarray  # (n,) int32, the index of its cell
+    true_return: np.ndarray  # (n,) float32
+    fitness: np.ndarray  # (n,) float32, what it won its cell with
+
+
+def empty() -> History:
+    """The history of an archive that nothing was added to yet."""
+    return History(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32))
+
+
+def append(history: History, iteration: int, elites: dict[str, np.ndarray], cells: int) -> History:
+    """``history`` with those of ``elites`` (``archive.returns``, after ``iteration``) that it does not end with."""
+    before = snapshot(history, iteration, cells)["fitness"]
+    new = elites["fitness"] != before[elites["index"]]  # true for an empty cell too, whose fitness is not-a-number
+    index = elites["index"][new].astype(np.int32)
+    rows = History(np.full(len(index), iteration, np.int32), index, elites["true_return"][new], elites["fitness"][new])
+    return History(*(np.concatenate(both).astype(both[0].dtype) for both in zip(history, rows, strict=True)))
+
+
+def snapshot(history: History, iteration: int, cells: int) -> dict[str, np.ndarray]:
+    """``true_return`` and ``fitness`` (cells,) of the archive after ``iteration``, not-a-number where it was empty."""
+    until = np.searchsorted(history.iteration, iteration, side="right")
+    grids = {}
+    for name in ("true_return", "fitness"):
+        grids[name] = np.full(cells, np.nan, np.float32)
+        grids[name][history.cell[:until]] = getattr(history, name)[:until]  # of a cell's several, the last stays
+    return grids

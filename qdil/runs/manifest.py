@@ -1,0 +1,67 @@
+"""``manifest.json``: what made a run, when and from what, and the hashes of its files."""
+
+import platform
+import subprocess
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+from qdil.files import sha256, write_json
+from qdil.ppga import Search
+
+PACKAGES = ("jax", "jaxlib", "brax", "mujoco", "mujoco-mjx", "ribs", "optax", "numpy")
+HASHED = ("config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def begin() -> dict[str, str]:
+    """What is to be noted when a process starts on a run."""
+    return {"commit": commit(), "start": _now()}
+
+
+def write(
+    search: Search, folder: Path, begun: Sequence[dict[str, str]], seconds: float, demos_file: Path | None
+) -> None:
+    """Write ``folder``'s manifest, which makes it a whole run.
+
+    ``begun`` is one entry for each process whose work is in it: ``start`` is the first one's, ``commit`` the last
+    one's, ``resumed`` says when the others began, and ``commits``, if they differ, names all. ``seconds`` counts all
+    processes' work.
+    """
+    commits = list(dict.fromkeys(process["commit"] for process in begun))
+    devices = jax.devices()[: search.engine.num_devices]
+    write_json(
+        folder / "manifest.json",
+        {
+            "commit": begun[-1]["commit"],
+            **({"commits": commits} if len(commits) > 1 else {}),
+            "start": begun[0]["start"],
+            "resumed": [process["start"] for process in begun[1:]],
+            "packages": {name: version(name) for name in PACKAGES},
+            "python": platform.python_version(),
+            "device": f"{len(devices)} x {devices[0].device_kind}",
+            "seed": search.config.seed,
+            "end": _now(),
+            "seconds": round(seconds, 1),
+            "demonstrations_sha256": sha256(demos_file) if demos_file else None,
+            "sha256": {name: sha256(folder / name) for name in HASHED},
+        },
+    )
+
+
+def commit() -> str:
+    """The repository's commit, marked where the working tree differs from it; "unknown" outside a repository."""
+    here = Path(__file__).parent
+    try:
+        run = ["git", "-C", str(here)]
+        head = subprocess.run([*run, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
+        changed = subprocess.run([*run, "status", "--porcelain", "--", str(here)], capture_output=True, text=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return f"{head} with local changes" if changed.stdout.strip() else head

@@ -1,0 +1,90 @@
+"""Which runs the paper's figures, tables and claims are made of, and what they are called.
+
+An *experiment* is a method, with the settings that differ from its budget's in the name: ``mconbo-gail+bonus_q=1.0``.
+A *study* is the experiments behind one figure or question.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+from qdil.config import RELEASED, SPEED_ONLY, Config, make_config, parse_settings, value_of
+from qdil.errors import ConfigError
+
+DEMONSTRATIONS = (1, 2, 10)  # besides the budget's own number (Appendix H)
+
+
+def name_of(method: str, env: str = "walker2d", budget: str = "full", **changes: Any) -> str:
+    """The experiment of ``method`` with ``changes``, those left out that change nothing, or nothing but the speed."""
+    default = make_config(env, method, budget)
+    changed = sorted(key for key, value in changes.items() if value != value_of(default, key) and key not in SPEED_ONLY)
+    return "+".join([method, *(f"{key}={_text(changes[key])}" for key in changed)])
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def config_of(experiment: str, env: str, budget: str, seed: int = 1) -> Config:
+    """The configuration of an experiment. Raises ConfigError for a name or setting that does not exist."""
+    method, *changes = experiment.split("+")
+    return make_config(env, method, budget, seed, **parse_settings(changes))
+
+
+MAIN = ("true", "gail", "mconbo-gail")
+STUDIES: dict[str, tuple[str, ...]] = {
+    "expert": ("true",),  # Figs. 4, 9, Table 3
+    "main": MAIN,  # Figs. 5, 6
+    "vail": ("true", "vail", "mconbo-vail"),  # Fig. 8
+    "baselines": (*MAIN, "vail", "mconbo-vail", "airl", "giril", "pwil", "maxent"),  # Table 1
+    "every-base": tuple(f"{p}{b}" for b in ("airl", "giril", "pwil", "maxent") for p in ("", "mconbo-")),  # Q4
+    "parts": ("gail", "mcond-gail", "mbo-gail", "mconbo-gail"),  # Figs. 7, 11, Table 9
+    "p-and-q": (  # Fig. 10
+        *(name_of("mconbo-gail", bonus_p=p, bonus_q=q) for p in (0.0, 0.5, 1.0) for q in (0.0, 0.5, 1.0)),
+    ),
+    "observation": ("true", "mconbo-gail", "mconbo-gail-obs"),  # Fig. 15, Table 2
+    "demonstrations": (  # Figs. 12-14
+        "true",
+        *("gail", "mconbo-gail"),
+        *(f"{method}+demo_episodes={n}" for method in ("gail", "mconbo-gail") for n in DEMONSTRATIONS),
+    ),
+    "true-reward": ("true", "mbo-true", "mconbo-gail"),  # Fig. 16
+    "survival": (  # Q1
+        "zero",
+        "mbo-zero+bonus_q=0.0",
+        "mbo-zero+bonus_p=0.0",
+        "mbo-zero",
+        "mconbo-gail",
+        "mconbo-gail+bonus_p=0.0",
+    ),
+    "released": (  # every difference between paper and released program, one at a time (Q2, Q3)
+        "mconbo-gail",
+        "mconbo-gail+protocol=released",
+        "mconbo-gail+selection=true",
+        "mconbo-gail+walk_weights=fitness",
+        "mconbo-gail+bonus_scope=rollout",
+        "mconbo-gail+bonus_p=0.0+bonus_q=2.0",
+        "mconbo-gail+expert_alignment=shifted",
+        "mconbo-gail+expert_obs=raw",
+        "mconbo-gail+penalty_mixing=element",
+        "mconbo-gail+gradient_penalty=0.0",  # the other way round: the program has one, the paper mentions none
+        "mconbo-vail",
+        "mconbo-vail+vail_beta=fixed",
+        "mconbo-pwil",
+        "mconbo-pwil+pwil_coupling=step",
+    ),
+}
+assert all(any(f"{name}=" in e for e in STUDIES["released"]) for name in RELEASED)
+
+
+SMOKE_CANNOT = ("demo_episodes=1", "demo_episodes=10")  # one is its default, and its pool of elites is too small for 10
+
+
+def experiments_of(studies: Iterable[str], budget: str) -> tuple[str, ...]:
+    """The experiments of some studies at a budget, each once. Raises ConfigError for a study that does not exist."""
+    names: list[str] = []
+    for study in studies:
+        if study not in STUDIES:
+            raise ConfigError(f"unknown study '{study}'; choose one of {', '.join(STUDIES)}.")
+        names += STUDIES[study]
+    left_out = SMOKE_CANNOT if budget == "smoke" else ()
+    return tuple(name for name in dict.fromkeys(names) if not name.endswith(left_out))

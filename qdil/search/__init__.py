@@ -1,1 +1,0 @@
-"""PPGA's parts: rollouts, VPPO, evaluation, xNES, the archives."""

@@ -1,0 +1,130 @@
+"""The measure bonus against slow loops over episodes, and its grid against pyribs'."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from probes import transitions
+
+from qdil.imitation.bonus import episode_measures, is_empty, measure_bonus
+from qdil.qd import archive
+
+TIME, ENVS, BEFORE = 9, 4, 5  # steps in a window, robots, steps that were taken before it
+
+jitted_measures = jax.jit(episode_measures)
+jitted_empty = jax.jit(is_empty)
+jitted_window_bonus = jax.jit(partial(measure_bonus, scope="window"))
+
+
+def cut_window(proxy, ended):
+    """The last ``TIME`` steps of histories (BEFORE + TIME, ENVS), and by plain loops the measure of each one's episode.
+
+    An episode that the window cuts counts up to the cut; one begun before the window counts from its beginning.
+    """
+    length, envs, k = proxy.shape
+    so_far, expected = np.zeros_like(proxy), np.zeros_like(proxy)
+    for e in range(envs):
+        begin = 0
+        for t in range(length):
+            so_far[t, e] = proxy[begin : t + 1, e].mean(axis=0)
+            if ended[t, e] or t == length - 1:
+                expected[begin : t + 1, e] = proxy[begin : t + 1, e].mean(axis=0)
+                begin = t + 1
+    fell = ended & (np.arange(length)[:, None] % 2 == 0)
+    kept = {"proxy": proxy, "measures_so_far": so_far, "terminated": fell, "truncated": ended & ~fell}
+    window = transitions(TIME, envs, k=k, **{name: values[-TIME:] for name, values in kept.items()})
+    return window, expected[-TIME:]
+
+
+def test_episode_measures_by_hand():
+    # One robot, one foot: an episode begun two steps earlier (1, 1 | 0, 1), a whole one (0, 0, 1), one that is cut.
+    steps = transitions(
+        7,
+        1,
+        k=1,
+        measures_so_far=np.float32([2 / 3, 3 / 4, 0, 0, 1 / 3, 1, 1 / 2]).reshape(7, 1, 1),
+        terminated=np.array([0, 1, 0, 0, 0, 0, 0], bool)[:, None],
+        truncated=np.array([0, 0, 0, 0, 1, 0, 0], bool)[:, None],
+    )
+    expected = [3 / 4, 3 / 4, 1 / 3, 1 / 3, 1 / 3, 1 / 2, 1 / 2]
+    np.testing.assert_allclose(episode_measures(steps)[:, 0, 0], expected, rtol=1e-6)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_episode_measures_agree_with_a_slow_loop(seed, chance):
+    rng = np.random.default_rng(seed)
+    shape = (BEFORE + TIME, ENVS)
+    window, expected = cut_window(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < chance)
+    np.testing.assert_allclose(jitted_measures(window), expected, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("cells", [5, 20, 50])
+def test_cells_are_pyribs_cells(cells):
+    grid = archive.make(cells, 2, 1, 1, 0.5, 0.0).result
+    rng = np.random.default_rng(cells)
+    corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [0, 0.5], [1, 0.5]])
+    measures = np.concatenate([rng.random((2000, 2)), corners]).astype(np.float32)
+    occupied = rng.random((cells, cells)) < 0.5
+    expected = ~occupied.reshape(-1)[grid.index_of(measures)]
+    np.testing.assert_array_equal(jitted_empty(jnp.asarray(occupied), jnp.asarray(measures)), expected)
+
+
+@pytest.mark.parametrize(("cells", "steps"), [(5, 50), (20, 300), (50, 1000), (50, 250)])
+def test_shares_of_an_episode_that_fall_on_grid_lines_are_in_pyribs_cells(cells, steps):
+    grid = archive.make(cells, 2, 1, 1, 0.5, 0.0).result
+    share = np.arange(steps + 1, dtype=np.float32) / np.float32(steps)
+    measures = np.stack([share, share[::-1]], axis=1)
+    stripes = np.arange(cells) % 2 == 0
+    for occupied in (np.tile(stripes[:, None], (1, cells)), np.tile(stripes, (cells, 1))):
+        expected = ~occupied.reshape(-1)[grid.index_of(measures)]
+        np.testing.assert_array_equal(jitted_empty(jnp.asarray(occupied), jnp.asarray(measures)), expected)
+
+
+def test_bonus_is_p_plus_q_in_empty_cells_all_episode_long():
+    rng = np.random.default_rng(0)
+    shape = (BEFORE + TIME, ENVS)
+    window, measures = cut_window(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < 0.3)
+    occupied = rng.random((4, 4)) < 0.5
+    bonus = measure_bonus(window, jnp.asarray(occupied), 0.25, 2.0)
+    for t in range(TIME):
+        for e in range(ENVS):
+            i, j = np.minimum((4 * measures[t, e] + 1e-4).astype(int), 3)
+            assert bonus[t, e] == (0.25 if occupied[i, j] else 2.25)
+    same_episode = ~np.asarray(window.ended[:-1])
+    assert {0.25, 2.25} == set(np.unique(bonus))
+    np.testing.assert_array_equal(np.asarray(bonus[1:])[same_episode], np.asarray(bonus[:-1])[same_episode])
+
+
+def test_bonus_of_a_window_by_hand():
+    # One robot, one foot, four steps in two episodes: down, down | up, down. The window's measure is 3/4 throughout.
+    steps = transitions(
+        4,
+        1,
+        k=1,
+        proxy=np.float32([1, 1, 0, 1]).reshape(4, 1, 1),
+        measures_so_far=np.float32([1, 1, 0, 1 / 2]).reshape(4, 1, 1),
+        terminated=np.array([0, 1, 0, 0], bool)[:, None],
+    )
+    only_above_three_quarters = jnp.array([False, False, False, True])
+    bonus = measure_bonus(steps, only_above_three_quarters, 0.25, 2.0, scope="window")
+    assert np.ravel(bonus).tolist() == [0.25] * 4
+    by_episode = measure_bonus(steps, only_above_three_quarters, 0.25, 2.0, scope="episode")
+    assert np.ravel(by_episode).tolist() == [0.25, 0.25, 2.25, 2.25]
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_bonus_of_a_window_agrees_with_a_slow_loop(seed, chance):
+    rng = np.random.default_rng(seed)
+    shape = (BEFORE + TIME, ENVS)
+    window, _ = cut_window(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < chance)
+    occupied = rng.random((4, 4)) < 0.5
+    bonus = jitted_window_bonus(window, jnp.asarray(occupied), 0.25, 2.0)
+    for e in range(ENVS):
+        down = [sum(float(window.proxy[t, e, foot]) for t in range(TIME)) for foot in (0, 1)]
+        i, j = (min(int(4 * d / TIME), 3) for d in down)  # nine steps: no share falls on a line but 0 and 1
+        for t in range(TIME):
+            assert bonus[t, e] == (0.25 if occupied[i, j] else 2.25)

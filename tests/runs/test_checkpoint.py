@@ -1,0 +1,284 @@
+"""Runs that are interrupted, damaged, or started twice: nothing is lost and nothing is different in the end."""
+
+import fcntl
+import json
+import os
+import shutil
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from qdil.runs import checkpoint, manifest
+from qdil import ppga
+from qdil.runs.folder import is_finished
+from qdil.runs.demos import make_demos
+from qdil.runs.train import train
+from qdil.runs.checkpoint import Progress
+from qdil.config import ConfigError, make_config
+from qdil.files import sha256
+from qdil.qd import archive, history
+
+CONFIG = make_config("walker2d", "true", "smoke", iterations=4)
+
+
+class Stopped(Exception):
+    """What interrupts a run in these tests."""
+
+
+def stop_after(iteration: int):
+    def report(search, row):
+        if row["iteration"] == iteration:
+            raise Stopped
+
+    return report
+
+
+@pytest.fixture(autouse=True)
+def save_always(monkeypatch):
+    monkeypatch.setattr(run, "SAVE_EVERY", 0.0)
+    monkeypatch.setattr(run, "SAVE_SHARE", 1e9)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("whole")
+    train(CONFIG, folder)
+    return folder
+
+
+@pytest.fixture
+def interrupted(tmp_path) -> Path:
+    """A run that died in its third iteration."""
+    with pytest.raises(Stopped):
+        train(CONFIG, tmp_path, report=stop_after(3))
+    return tmp_path
+
+
+def same_run(one: Path, other: Path) -> bool:
+    """The same archive and its history, byte for byte, and the same metrics but for the clock."""
+    rows = [np.genfromtxt(f / "metrics.csv", delimiter=",", names=True) for f in (one, other)]
+    columns = [name for name in rows[0].dtype.names if name != "wall_seconds"]
+    for name in columns:
+        np.testing.assert_array_equal(rows[0][name], rows[1][name])
+    return all(sha256(one / name) == sha256(other / name) for name in ("archive.npz", "history.npz"))
+
+
+def test_a_resumed_run_ends_as_if_nothing_had_happened(interrupted, uninterrupted):
+    assert not is_finished(interrupted)
+    seen = []
+    assert train(CONFIG, interrupted, report=lambda search, row: seen.append(row["iteration"]))
+    assert seen == [3, 4]
+    assert same_run(interrupted, uninterrupted)
+    assert not (interrupted / "checkpoint").exists()
+
+
+@pytest.fixture(scope="module")
+def demos(uninterrupted, tmp_path_factory) -> Path:
+    return make_demos("walker2d", "smoke", 1, 1, uninterrupted, tmp_path_factory.mktemp("demos") / "demos.npz")
+
+
+@pytest.mark.parametrize("method", ["mconbo-gail", "vail", "pwil"])
+def test_an_imitator_resumes_as_if_nothing_had_happened(method, demos, tmp_path):
+    """With what its reward model has learned, its optimiser, and what it remembers of episodes that are going on."""
+    config = make_config("walker2d", method, "smoke", iterations=3)
+    train(config, tmp_path / "whole", demos)
+    with pytest.raises(Stopped):
+        train(config, tmp_path / "resumed", demos, stop_after(2))
+    seen = []
+    train(config, tmp_path / "resumed", demos, lambda search, row: seen.append(row["iteration"]))
+    assert seen == [2, 3]
+    assert same_run(tmp_path / "resumed", tmp_path / "whole")
+
+
+def test_the_manifest_of_a_resumed_run_tells_all_beginnings(interrupted, uninterrupted, monkeypatch):
+    manifests = [json.loads((uninterrupted / "manifest.json").read_text())]
+    monkeypatch.setattr(manifest, "begin", lambda: {"commit": "another", "start": "2100-01-01T00:00:00+00:00"})
+    train(CONFIG, interrupted)
+    manifests.append(json.loads((interrupted / "manifest.json").read_text()))
+    assert manifests[0]["resumed"] == [] and "commits" not in manifests[0]
+    assert manifests[0]["start"] <= manifests[1]["start"] < "2100"
+    assert manifests[1]["resumed"] == ["2100-01-01T00:00:00+00:00"]
+    assert manifests[1]["commits"] == [manifests[0]["commit"], "another"] and manifests[1]["commit"] == "another"
+
+
+def test_an_interrupted_warm_up_goes_on_too(tmp_path, uninterrupted, monkeypatch):
+    rounds = []
+    warm_up = ppga.warm_up
+
+    def counted(search, updates):
+        rounds.append(updates)
+        return warm_up(search, updates)
+
+    def dies_at_the_second(search, updates):
+        if updates == 1:
+            raise Stopped
+        return counted(search, updates)
+
+    monkeypatch.setattr(ppga, "warm_up", dies_at_the_second)
+    with pytest.raises(Stopped):
+        train(CONFIG, tmp_path)
+    monkeypatch.setattr(ppga, "warm_up", counted)
+    train(CONFIG, tmp_path)
+    assert rounds == [2, 1]
+    assert same_run(tmp_path, uninterrupted)
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate"])
+def test_a_damaged_checkpoint_is_noticed_and_the_one_before_used(interrupted, uninterrupted, damage):
+    newest, before = sorted((interrupted / "checkpoint").glob("*.npz"), reverse=True)
+    content = bytearray(newest.read_bytes())
+    if damage == "flip":
+        content[len(content) // 2] ^= 1
+    newest.write_bytes(content if damage == "flip" else content[: len(content) // 3])
+    seen = []
+    train(CONFIG, interrupted, report=lambda search, row: seen.append(row["iteration"]))
+    assert seen[0] == 2 and int(before.name.split("-")[1]) == 1
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_a_checkpoint_that_cannot_be_read_is_passed_over_and_kept(interrupted, uninterrupted, monkeypatch):
+    newest, before = sorted((interrupted / "checkpoint").glob("*.npz"), reverse=True)
+    read_bytes, there = Path.read_bytes, []
+
+    def fails(path):
+        if path == newest:
+            raise OSError(5, "Input/output error")
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", fails)
+
+    def look(search, row):
+        there.append((row["iteration"], newest.exists()))
+
+    train(CONFIG, interrupted, report=look)
+    assert there[0] == (2, True) and int(before.name.split("-")[1]) == 1
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_all_damaged_means_from_the_beginning(interrupted, uninterrupted):
+    for path in (interrupted / "checkpoint").glob("*.npz"):
+        path.write_bytes(b"")
+    train(CONFIG, interrupted)
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_a_full_disk_leaves_what_was_there(interrupted, uninterrupted, monkeypatch):
+    before = {path.name for path in (interrupted / "checkpoint").glob("*.npz")}
+
+    def no_space(file_descriptor):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", no_space)
+        with pytest.raises(OSError, match="No space"):
+            train(CONFIG, interrupted)
+    assert {path.name for path in (interrupted / "checkpoint").glob("*.npz")} == before
+    assert not list(interrupted.glob(".*"))
+    train(CONFIG, interrupted)
+    assert same_run(interrupted, uninterrupted)
+
+
+def test_another_configuration_is_refused(interrupted):
+    with pytest.raises(ConfigError, match="an unfinished run with other settings"):
+        train(make_config("walker2d", "true", "smoke", iterations=5), interrupted)
+
+
+def test_a_folder_is_one_processes_at_a_time(interrupted, uninterrupted):
+    with open(interrupted / "checkpoint" / "lock", "a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(ConfigError, match="another process"):
+            train(CONFIG, interrupted)
+    train(CONFIG, interrupted)
+    assert same_run(interrupted, uninterrupted)
+
+
+def fails_to_begin(*args):
+    raise AssertionError("it began to compile")
+
+
+def test_a_busy_folder_is_refused_before_anything_compiles(interrupted, monkeypatch):
+    monkeypatch.setattr(ppga, "begin", fails_to_begin)
+    with checkpoint.locked(interrupted), pytest.raises(ConfigError, match="another process"):
+        train(CONFIG, interrupted)
+
+
+def test_a_run_that_finishes_just_before_the_lock_is_taken_is_left_alone(tmp_path, uninterrupted, monkeypatch):
+    folder, locked = tmp_path / "run", checkpoint.locked
+
+    def locked_late(run_folder):
+        shutil.copytree(uninterrupted, run_folder)  # another process was faster
+        return locked(run_folder)
+
+    monkeypatch.setattr(checkpoint, "locked", locked_late)
+    monkeypatch.setattr(ppga, "begin", fails_to_begin)
+    assert not train(CONFIG, folder)
+    assert {path.name for path in folder.iterdir()} == {path.name for path in uninterrupted.iterdir()}
+
+
+def test_a_lock_that_was_removed_with_its_folder_locks_nothing(tmp_path, monkeypatch):
+    """Whoever waited at the door of a run that has just finished must not share the folder with who comes next."""
+    flock, turns = fcntl.flock, []
+
+    def flock_late(file, operation):
+        if not turns:
+            checkpoint.remove(tmp_path)
+        turns.append(operation)
+        flock(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", flock_late)
+    with checkpoint.locked(tmp_path):
+        assert len(turns) == 2
+        with pytest.raises(ConfigError, match="another process"), checkpoint.locked(tmp_path):
+            pass
+
+
+def test_what_killed_processes_left_is_cleared(tmp_path, uninterrupted):
+    folder = tmp_path / "run"
+    shutil.copytree(uninterrupted, folder)
+    (folder / "checkpoint").mkdir()
+    (folder / "checkpoint" / "lock").touch()
+    assert not train(CONFIG, folder)  # killed right after its manifest was written
+    assert not (folder / "checkpoint").exists()
+
+    (folder / "manifest.json").unlink()
+    (folder / "checkpoint").mkdir()
+    half = [folder / ".policies.npz.a1_b2c3d", folder / "checkpoint" / f".000002-000001-{'0' * 64}.npz.abcdefgh"]
+    theirs = [folder / ".gitkeep", folder / ".notes.json"]
+    for path in half + theirs:
+        path.touch()
+    train(CONFIG, folder)
+    assert not any(path.exists() for path in half) and all(path.exists() for path in theirs)
+
+
+def test_other_demonstrations_are_refused(tmp_path):
+    search = ppga.begin(CONFIG, None)
+    checkpoint.save(tmp_path, search, Progress(iteration=1), "one")
+    assert checkpoint.load(tmp_path, search, "one") is not None
+    with pytest.raises(ConfigError, match="other demonstrations"):
+        checkpoint.load(tmp_path, search, "another")
+
+
+def test_what_is_loaded_is_what_was_saved(tmp_path):
+    """Every leaf, both grids with their thresholds, both generators."""
+    config = make_config("walker2d", "true", "smoke", archive_learning_rate=0.3)
+    search, _ = ppga.iteration(ppga.begin(config, None))
+    returns = archive.returns(search.archives)
+    past = history.append(history.empty(), 1, returns, int(search.archives.result.cells))
+    checkpoint.save(tmp_path, search, Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), past, 6.0), None)
+    loaded, progress = checkpoint.load(tmp_path, ppga.begin(config, None), None)
+    assert progress._replace(history=None) == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), None, 6.0)
+    assert len(past.cell) > 0
+    for mine, theirs in zip(past, progress.history, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    for mine, theirs in zip(jax.tree.leaves(search.state), jax.tree.leaves(loaded.state), strict=True):
+        assert mine.dtype == theirs.dtype and mine.sharding == theirs.sharding and mine.committed == theirs.committed
+        np.testing.assert_array_equal(checkpoint._to_numpy(mine), checkpoint._to_numpy(theirs))
+    for mine, theirs in zip(search.archives, loaded.archives, strict=True):
+        one, other = archive.content(mine), archive.content(theirs)
+        assert set(one) == set(other) and "threshold" in one and len(one["index"]) > 0
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name])
+    np.testing.assert_array_equal(search.xnes.ask(), loaded.xnes.ask())
+    assert search.rng.integers(1 << 60) == loaded.rng.integers(1 << 60)

@@ -1,0 +1,45 @@
+"""Studies name runs that exist as settings, fold no two together, and are found where training puts them."""
+
+import pytest
+
+from qdil.runs.folder import folder_of
+from qdil.config import BUDGETS, ConfigError, make_config
+from qdil.runs import experiments, studies
+
+
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_every_experiment_is_a_configuration_of_its_own(budget):
+    names = studies.experiments_of(studies.STUDIES, budget)
+    configs = [studies.config_of(name, "walker2d", budget) for name in names]
+    assert len(set(configs)) == len(configs)
+
+
+def test_a_name_leaves_out_what_changes_nothing_and_reads_back():
+    assert studies.name_of("mconbo-gail", bonus_p=0.5, bonus_q=0.5) == "mconbo-gail"
+    name = studies.name_of("mconbo-gail", bonus_q=1.0, reward_hidden=(8, 8))
+    assert name == "mconbo-gail+bonus_q=1.0+reward_hidden=8,8"
+    expected = make_config("walker2d", "mconbo-gail", "laptop", 2, bonus_q=1.0, reward_hidden=(8, 8))
+    assert studies.config_of(name, "walker2d", "laptop", 2) == expected
+
+
+def test_a_plain_method_lies_where_training_puts_it(tmp_path):
+    config = make_config("walker2d", "gail", "smoke", 3)
+    assert experiments.folder_of("gail", "walker2d", "smoke", 3, tmp_path) == folder_of(config, tmp_path)
+
+
+def test_only_finished_runs_are_found_in_the_order_of_seeds(tmp_path):
+    for seed in (1, 3):
+        folder = experiments.folder_of("gail", "walker2d", "laptop", seed, tmp_path)
+        folder.mkdir(parents=True)
+        (folder / "manifest.json").write_text("{}")
+    experiments.folder_of("gail", "walker2d", "laptop", 2, tmp_path).mkdir()
+    found = experiments.finished(["gail", "vail"], "walker2d", "laptop", None, tmp_path)
+    assert [path.name for path in found["gail"]] == ["seed-1", "seed-3"] and "vail" not in found
+
+
+@pytest.mark.parametrize("name, message", [("gail+speed=1", "expected NAME=VALUE"), ("nail", "nail")])
+def test_what_does_not_exist_is_refused(name, message):
+    with pytest.raises(ConfigError, match=message):
+        studies.config_of(name, "walker2d", "smoke")
+    with pytest.raises(ConfigError, match="unknown study"):
+        studies.experiments_of(["nothing"], "smoke")
