@@ -7,13 +7,16 @@ RUN := $(VENV)/bin/python
 SWEEP ?=
 SITE ?=
 
-.PHONY: reproduce test test-slow lint sweep site contents frontend lock clean
+.PHONY: reproduce test test-fast test-slow lint sweep site contents frontend lock clean
 
 reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke, laptop or full)
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
 
 test: $(VENV)/.installed lint  ## lint, type check and every test
 	$(RUN) -m pytest
+
+test-fast: $(VENV)/.installed  ## the tests that need neither Brax nor another process: under a minute
+	$(RUN) -m pytest -m "not slow and not physics"
 
 test-slow: $(VENV)/.installed  ## whole runs on all robots, a dozen kills, the bench: many minutes
 	$(RUN) -m pytest -m slow

@@ -1,14 +1,15 @@
-"""Imported before any test: ``qdil``, so that JAX starts with one host device per core."""
+"""Before any test: every CPU core becomes a JAX device."""
 
 import gc
 from pathlib import Path
 
-import jax
 import pytest
 from hypothesis import settings
 
-import qdil  # noqa: F401
+import qdil
 from qdil.engine import programs
+
+qdil.use_all_cores()
 
 settings.register_profile("qdil", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("qdil")
@@ -22,7 +23,5 @@ def forget_programs():
     """Every compiled program stays mapped into memory, a map for each of its parts: forget them when they are many."""
     yield
     if MAPS.exists() and len(MAPS.read_text().splitlines()) > MANY_MAPS:
-        programs.search_programs.cache_clear()
-        programs.reward_programs.cache_clear()
-        jax.clear_caches()
+        programs.forget_programs()
         gc.collect()
