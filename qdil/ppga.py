@@ -175,8 +175,7 @@ def batch_of_elites(search: Search, first: int) -> Policies:
     """λ elites from row ``first`` on, on the devices; the last one fills up a batch that would be too short."""
     elites = archive.elite_arrays(search.archives)
     rows = np.minimum(np.arange(first, first + search.config.ppga.candidates), len(elites["index"]) - 1)
-    solution, mean, std = (jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std"))
-    return search.engine.place(Policies(solution, mean, std))
+    return search.engine.elites(elites, rows)
 
 
 def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
 """A run's programs put together in the form that Algorithm 1 asks for, and the host's loops over them."""
 
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -175,6 +175,12 @@ class Engine:
         """A tree of arrays with axis (λ) in front, laid out over the devices as ``score`` expects it."""
         return laid_out(tree, by_environment(self.search.mesh))
 
+    def elites(self, elites: dict[str, np.ndarray], rows: np.ndarray) -> Policies:
+        """The λ elites in ``rows`` of an archive's arrays, placed."""
+        # Arrays of the host: those on a device would need programs of their own to be split.
+        arrays = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
+        return self.place(Policies(*arrays))  # type: ignore[arg-type]
+
     def all_with_normaliser(self, theta: jax.Array, stats: ObsStats) -> Policies:
         """λ policies ``theta`` (λ, P) under one normaliser, placed."""
         mean, std = (jnp.broadcast_to(x, (len(theta), *x.shape)) for x in stats.normaliser)
@@ -193,8 +199,8 @@ class Engine:
 
     def restart_at(self, state: State, elite: dict[str, np.ndarray]) -> State:
         """Algorithm 1, line 21: θ_μ becomes ``elite``, with that elite's own observation statistics."""
-        theta, mean, std = (jnp.asarray(elite[name]) for name in ("solution", "obs_mean", "obs_std"))
-        train_state, stats = self.search.restart_at(state.train_state, state.stats, theta, mean, std)
+        arrays: Any = (elite[name] for name in ("solution", "obs_mean", "obs_std"))
+        train_state, stats = self.search.restart_at(state.train_state, state.stats, *arrays)
         return state._replace(train_state=train_state, stats=stats)
 
     def theta_mu(self, state: State) -> jax.Array:

@@ -11,7 +11,6 @@ from qdil.config import Config, change, from_json
 from qdil.engine.engine import Engine
 from qdil.errors import ConfigError
 from qdil.files import read_json, sha256
-from qdil.rl.evaluate import Policies
 from qdil.runs.folder import is_finished, read_archive
 
 
@@ -77,11 +76,9 @@ def _evaluate(
     """True return (λ,) and measures (λ, k) of elites ``rows``, the last one repeated to fill a batch."""
     engine = Engine(change(config, method="true", devices=0))  # it may have been made on more devices than are here
     rows = np.concatenate([rows, np.full(config.ppga.candidates - len(rows), rows[-1])])
-    solution, mean, std = (jnp.asarray(elites[name][rows]) for name in ("solution", "obs_mean", "obs_std"))
     key, init_key = jax.random.split(jax.random.key(seed))
     occupied = jnp.zeros((config.ppga.cells,) * elites["measures"].shape[1], bool)
-    policies = engine.place(Policies(solution, mean, std))
-    scores = engine.score(engine.init(init_key, None), occupied, policies, key)
+    scores = engine.score(engine.init(init_key, None), occupied, engine.elites(elites, rows), key)
     return np.asarray(scores.true_return), np.asarray(scores.measures)
 
 
