@@ -8,10 +8,10 @@ import sys
 import time
 from pathlib import Path
 
-from qdil.runs import checkpoint, manifest
 from qdil import ppga
-from qdil.runs.train import SAVE_EVERY, SAVE_SHARE, train
 from qdil.config import make_config
+from qdil.runs import checkpoint, manifest
+from qdil.runs.train import train
 
 WAIT = 0.15  # seconds: the test reads a line in much less, so that what it announces has not happened yet
 

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 
 from qdil.config import make_config, to_json
-from qdil.robots import brax_robots
 from qdil.rl import networks
+from qdil.robots import brax_robots
 
 CELLS = 5
 

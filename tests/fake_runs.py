@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from qdil.runs.train import FIRST_COLUMNS
-from qdil.runs.experiments import folder_of
 from qdil.files import write_csv, write_npz
+from qdil.runs.experiments import folder_of
+from qdil.runs.train import FIRST_COLUMNS
 
 COLUMNS = [*FIRST_COLUMNS, "c0"]
 

@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdil.config import make_config
-from qdil.imitation.reward_model import reward_model
-from qdil.imitation.reward_model import Demonstrations, RewardModel
+from qdil.imitation.reward_model import Demonstrations, RewardModel, reward_model
 from qdil.robots.environment import Environment, Outcome, RobotState
 from qdil.types import ObsStats, RewardContext, Transitions
 

@@ -5,7 +5,18 @@ from dataclasses import asdict, fields, replace
 
 import pytest
 
-from qdil.config import BUDGETS, ROBOTS, Config, ConfigError, check, from_json, make_config, parse_settings, settings_help, to_json
+from qdil.config import (
+    BUDGETS,
+    ROBOTS,
+    Config,
+    ConfigError,
+    check,
+    from_json,
+    make_config,
+    parse_settings,
+    settings_help,
+    to_json,
+)
 from qdil.methods import Method, method_names, parse_method
 
 PAPER = {

@@ -15,10 +15,10 @@ from probes import counter
 from qdil import ppga
 from qdil.config import make_config
 from qdil.finite import all_finite, is_smaller
-from qdil.robots import brax_robots
-from qdil.robots.environment import Environment, RobotState
 from qdil.qd import archive
 from qdil.rl import networks
+from qdil.robots import brax_robots
+from qdil.robots.environment import Environment, RobotState
 
 FLOATS = st.floats(width=32)
 

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from probes import counter
 
+from qdil.config import Evaluation
+from qdil.imitation.fitness import begin_scoring, score_chunk
 from qdil.imitation.reward_model import RewardModel
-from qdil.engine.phases import begin_paying, pay_episodes
 from qdil.rl import evaluate, networks
 from qdil.rl.evaluate import Policies
 from qdil.rl.rollout import start
 from qdil.types import RewardContext
 
 BOUND, LIMIT, CHUNK, EPISODES, CANDIDATES = 2.0, 10, 4, 3, 5
-LIKE = networks.init_policy(jax.random.key(0), 1, 1, (3,), 1e-6)
+TEMPLATE = networks.init_policy(jax.random.key(0), 1, 1, (3,), 1e-6)
 
 
 def fitness(steps):
@@ -22,24 +23,38 @@ def fitness(steps):
     return (steps.obs[..., 0] - 0.5) / 2 + 3 * steps.action[..., 0] + steps.proxy[..., 1]
 
 
-def scored(env, policies, key, rewards=fitness, sample_actions=False, limit=LIMIT, chunk=CHUNK, turns=1, tile=1000):
-    """Scores as arrays; a ``rewards`` that is called once for every chunk of steps that was simulated."""
+def evaluated(env, policies, key, score, so_far, sample_actions=False, limit=LIMIT, chunk=CHUNK, chunks=1, batch=1000):
+    """The whole loop over episodes; ``score(so_far, steps, counted)`` adds rewards to what an episode has so far."""
+    evaluation = Evaluation(
+        episodes=key.shape[1],
+        sample_actions=sample_actions,
+        eval_chunk_steps=chunk,
+        eval_chunks_per_sync=chunks,
+        eval_batch_size=batch,
+    )
+    advance = jax.jit(lambda *state: evaluate.advance(env, TEMPLATE, evaluation, *state))
+    envs, tally = evaluate.begin(env, key, limit)
+    while np.asarray(tally.unfinished).any():
+        envs, tally, steps, counted = advance(policies, envs, tally)
+        so_far = score(so_far, steps, counted)
+    return jax.tree.map(np.asarray, evaluate.finish(tally, so_far.fitness, key.shape[1]))
 
-    def pay(paid, steps, counted):
-        return paid._replace(fitness=paid.fitness + jnp.sum(jnp.where(counted, rewards(steps), 0.0), axis=(0, 1)))
 
-    pieces = evaluate.episodes(env, LIKE, key.shape[1], limit, chunk, turns, tile, sample_actions)
-    nothing = evaluate.Paid((), jnp.zeros(key.size))
-    scores = evaluate.run(evaluate.Episodes(*map(jax.jit, pieces)), pay, policies, nothing, key)
-    return jax.tree.map(np.asarray, scores)
+def scored(env, policies, key, rewards=fitness, **settings):
+    """Scores as arrays; ``rewards`` is called once for every sync."""
+
+    def score(so_far, steps, counted):
+        return so_far._replace(fitness=so_far.fitness + jnp.sum(jnp.where(counted, rewards(steps), 0.0), axis=(0, 1)))
+
+    return evaluated(env, policies, key, score, evaluate.RewardSum((), jnp.zeros(key.size)), **settings)
 
 
 @pytest.fixture(scope="module")
 def policies():
     """Policies that walk forward, backward or hardly at all, each with an observation normaliser of its own."""
     rng = np.random.default_rng(0)
-    theta = rng.normal(size=(CANDIDATES, networks.flat_size(LIKE))).astype(np.float32)
-    theta[:, np.asarray(networks.flatten(LIKE)) == np.log(np.float32(1e-6))] = np.log(1e-6)
+    theta = rng.normal(size=(CANDIDATES, networks.flat_size(TEMPLATE))).astype(np.float32)
+    theta[:, np.asarray(networks.flatten(TEMPLATE)) == np.log(np.float32(1e-6))] = np.log(1e-6)
     return Policies(
         jnp.asarray(theta),
         jnp.asarray(rng.normal(size=(CANDIDATES, 1)), jnp.float32),
@@ -54,7 +69,7 @@ def keys():
 
 def mean_action(policies, i, position):
     """The policy's mean, clipped as a robot's actions are: a one-layer tanh network written out."""
-    first, last = (jax.tree.map(np.asarray, layer) for layer in networks.unflatten(policies.theta[i], LIKE)["mean"])
+    first, last = (jax.tree.map(np.asarray, layer) for layer in networks.unflatten(policies.theta[i], TEMPLATE)["mean"])
     x = np.clip((position - policies.obs_mean[i]) / policies.obs_std[i], -10, 10)
     return float(np.clip(np.tanh(x @ first["w"] + first["b"]) @ last["w"] + last["b"], -1, 1)[0])
 
@@ -72,10 +87,10 @@ def episode_by_hand(policies, i, position):
     return total, true, np.mean(proxies, axis=0), length
 
 
-@pytest.mark.parametrize("turns", [1, 2, 7])
-@pytest.mark.parametrize("tile", [1, 4, 5, 1000])
-def test_scores_equal_a_plain_loop_over_every_episode(policies, keys, tile, turns):
-    scores = scored(counter(BOUND), policies, keys, tile=tile, turns=turns)
+@pytest.mark.parametrize("chunks", [1, 2, 7])
+@pytest.mark.parametrize("batch", [1, 4, 5, 1000])
+def test_scores_equal_a_plain_loop_over_every_episode(policies, keys, batch, chunks):
+    scores = scored(counter(BOUND), policies, keys, batch=batch, chunks=chunks)
     starts = np.asarray(start(counter(BOUND), keys.reshape(-1), 1).robot.physics).reshape(CANDIDATES, EPISODES)
     lengths = []
     for i in range(CANDIDATES):
@@ -97,11 +112,11 @@ def test_permuting_candidates_permutes_scores(policies, keys):
 
 def always(actions):
     """Policies that take the same action wherever they are."""
-    zero = jax.tree.map(jnp.zeros_like, LIKE)
+    zero = jax.tree.map(jnp.zeros_like, TEMPLATE)
 
     def one(action):
         last = {**zero["mean"][-1], "b": jnp.array([action])}
-        return networks.flatten({"mean": [zero["mean"][0], last], "log_std": LIKE["log_std"]})
+        return networks.flatten({"mean": [zero["mean"][0], last], "log_std": TEMPLATE["log_std"]})
 
     theta = jnp.stack([one(a) for a in actions])
     return Policies(theta, jnp.zeros((len(actions), 1)), jnp.ones((len(actions), 1)))
@@ -139,8 +154,8 @@ def test_a_robot_that_fell_is_driven_no_further():
     assert np.max(chunks) < 1.5
 
 
-def test_robots_that_have_finished_leave_their_tile_to_others():
-    """One robot of four lasts: from the second chunk on only its tile is simulated, the rest of the data stays zero."""
+def test_finished_episodes_leave_their_batch_to_others():
+    """One robot of four lasts: from the second chunk on only its batch is simulated; other data stays zero."""
     driven = []
 
     def watching(steps):
@@ -148,7 +163,7 @@ def test_robots_that_have_finished_leave_their_tile_to_others():
         return steps.reward
 
     keys = jax.random.split(jax.random.key(0), (4, 1))
-    scores = scored(counter(1.5), always([0.9, 0.9, 0.01, 0.9]), keys, watching, tile=2)
+    scores = scored(counter(1.5), always([0.9, 0.9, 0.01, 0.9]), keys, watching, batch=2)
     assert np.argmax(scores.length) == 2 and scores.length[2] == LIMIT
     assert driven == [4, 2, 2]
 
@@ -158,39 +173,33 @@ def simulated(steps):
     return np.any(np.asarray(steps.next_obs[..., 0]) != 0, axis=(0, 1))
 
 
-def test_robots_that_do_not_fill_a_tile_wait_and_go_first_next_time():
-    turns = []
+def test_robots_that_do_not_fill_a_batch_wait_and_go_first_next_time():
+    chunks = []
 
     def watching(steps):
-        turns.append(np.flatnonzero(simulated(steps)).tolist())
+        chunks.append(np.flatnonzero(simulated(steps)).tolist())
         return steps.reward
 
     keys = jax.random.split(jax.random.key(0), (4, 1))
-    scores = scored(counter(1.5), always([0.01, 0.9, 0.01, 0.01]), keys, watching, tile=2)
+    scores = scored(counter(1.5), always([0.01, 0.9, 0.01, 0.01]), keys, watching, batch=2)
     assert scores.length.tolist()[::2] == [LIMIT, LIMIT] and scores.length[3] == LIMIT and scores.length[1] < CHUNK
-    assert turns[:3] == [[0, 1, 2, 3], [0, 2], [0, 3]]
-    assert [sum(robot in turn for turn in turns) for robot in (0, 2, 3)] == [3, 3, 3]  # LIMIT steps, CHUNK at a time
+    assert chunks[:3] == [[0, 1, 2, 3], [0, 2], [0, 3]]
+    assert [sum(robot in chunk for chunk in chunks) for robot in (0, 2, 3)] == [3, 3, 3]  # LIMIT steps, CHUNK at a time
 
 
-@pytest.mark.parametrize("turns", [1, 3])
-def test_a_reward_remembers_of_a_robot_that_waits_what_it_did_before(turns):
-    """Paid for step t is t, so an episode of L steps is worth 0 + 1 + … + (L - 1)."""
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_a_robot_skipped_in_a_chunk_keeps_its_reward_memory(chunks):
+    """The reward of step t is t, so an episode of L steps is worth 0 + 1 + … + (L - 1)."""
 
-    def reward(state, carry, context, transitions):
+    def reward(state, memory, context, transitions):
         length = len(transitions.reward)
-        return carry + length, carry + jnp.arange(float(length))[:, None]
+        return memory + length, memory + jnp.arange(float(length))[:, None]
 
-    model = RewardModel(lambda *_: (), lambda _, count: jnp.zeros(count), reward, lambda *_: (), False)
-    pieces = evaluate.episodes(counter(1.5), LIKE, 1, LIMIT, CHUNK, turns, 2, False)
-    nobody = RewardContext(None, None)
-
-    def pay(paid, steps, counted):
-        return pay_episodes(model, (), paid, nobody, steps, counted)
-
+    model = RewardModel(lambda *_: (), reward, begin=lambda _, count: jnp.zeros(count))
+    context = RewardContext(None, None)
+    score = jax.jit(lambda so_far, steps, counted: score_chunk(model, (), so_far, context, steps, counted))
     policies, keys = always([0.01, 0.9, 0.01, 0.2, 0.01, 0.1]), jax.random.split(jax.random.key(0), (6, 1))
-    scores = evaluate.run(
-        evaluate.Episodes(*map(jax.jit, pieces)), jax.jit(pay), policies, begin_paying(model, (), 6), keys
-    )
+    scores = evaluated(counter(1.5), policies, keys, score, begin_scoring(model, (), 6), chunks=chunks, batch=2)
     length = np.asarray(scores.length)
     assert len(set(length)) >= 3
     np.testing.assert_allclose(scores.fitness, length * (length - 1) / 2)
@@ -198,7 +207,7 @@ def test_a_reward_remembers_of_a_robot_that_waits_what_it_did_before(turns):
 
 def test_sampled_actions_have_the_policys_mean_and_spread():
     policies = jax.tree.map(lambda x: jnp.repeat(x, 4000, axis=0), always([0.1]))
-    theta = networks.unflatten(policies.theta[0], LIKE) | {"log_std": jnp.log(jnp.array([0.2]))}
+    theta = networks.unflatten(policies.theta[0], TEMPLATE) | {"log_std": jnp.log(jnp.array([0.2]))}
     policies = policies._replace(theta=jnp.tile(networks.flatten(theta), (4000, 1)))
     keys = jax.random.split(jax.random.key(0), (4000, 1))
 

@@ -8,8 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax.sharding import PartitionSpec as P
 
-from qdil.rl.normalise import OBS_CLIP, RETURN_MEMORY, init_obs_stats, init_return_stats, normalise_obs, update_obs_stats, update_return_stats
 from qdil.devices.mesh import AXIS, make_mesh
+from qdil.rl.normalise import (
+    OBS_CLIP,
+    RETURN_MEMORY,
+    init_obs_stats,
+    init_return_stats,
+    normalise_obs,
+    update_obs_stats,
+    update_return_stats,
+)
 
 update = jax.jit(lambda stats, obs: update_obs_stats(stats, obs, axis=None))
 

@@ -1,4 +1,4 @@
-"""Training windows, replayed step by step in plain Python."""
+"""Training rollouts, replayed step by step in plain Python."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 from probes import counter
 from scipy import stats
 
-from qdil.rl.rollout import noise_of, start, window
+from qdil.rl.rollout import action_noise, rollout, start
 
 BOUND, LIMIT, LENGTH, ENVS = 3.0, 6, 12, 8
 
@@ -18,10 +18,10 @@ def push_randomly(noise, obs):
 
 
 @pytest.fixture(scope="module")
-def two_windows():
-    """Two consecutive windows of the counter, joined along time, as NumPy arrays; and each window's first action."""
+def two_rollouts():
+    """Two consecutive rollouts of the counter, joined along time, as NumPy arrays; and each rollout's first action."""
     env = counter(BOUND)
-    drive = jax.jit(lambda envs: window(env, push_randomly, envs, LENGTH, LIMIT))
+    drive = jax.jit(lambda envs: rollout(env, push_randomly, envs, LENGTH, LIMIT))
     envs = start(env, jax.random.split(jax.random.key(0), ENVS), LIMIT)
     envs, *first = drive(envs)
     envs, *second = drive(envs)
@@ -29,14 +29,14 @@ def two_windows():
     return join[0], join[1]
 
 
-def test_steps_follow_the_robots_own_rules_across_windows(two_windows):
-    steps, choice = two_windows
+def test_steps_follow_the_robots_own_rules_across_rollouts(two_rollouts):
+    steps, sample = two_rollouts
     falls = limits = 0
     for e in range(ENVS):
         position, age, proxies = steps.obs[0, e, 0], 0, []
         for t in range(2 * LENGTH):
             assert steps.obs[t, e, 0] == position
-            action = np.clip(choice.raw_action[t, e, 0], -1, 1)
+            action = np.clip(sample.raw_action[t, e, 0], -1, 1)
             after, age = np.float32(position + action), age + 1
             proxies.append([position >= 1, position >= 2])
             fell = after >= BOUND
@@ -57,29 +57,29 @@ def test_steps_follow_the_robots_own_rules_across_windows(two_windows):
     assert falls > ENVS and limits > 1
 
 
-def test_each_choice_is_remembered_as_it_was_drawn(two_windows):
-    steps, choice = two_windows
-    assert np.abs(choice.raw_action).max() > 1
-    np.testing.assert_array_equal(choice.log_prob, steps.obs[..., 0])
+def test_each_sample_is_remembered_as_it_was_drawn(two_rollouts):
+    steps, sample = two_rollouts
+    assert np.abs(sample.raw_action).max() > 1
+    np.testing.assert_array_equal(sample.log_prob, steps.obs[..., 0])
 
 
-def test_each_robot_and_window_has_a_start_of_its_own(two_windows):
-    steps, _ = two_windows
-    starts = steps.obs[1:, :, 0]  # where episodes begin, by the window in which the one before ended
-    windows = list(zip(halves(steps.ended[:-1]), halves(starts), strict=True))
-    assert all(ended.sum() > 1.5 * ENVS for ended, _ in windows)
-    distinct = [set(at[ended[:, e], e].tolist()) for ended, at in windows for e in range(ENVS)]
+def test_each_robot_and_rollout_has_a_start_of_its_own(two_rollouts):
+    steps, _ = two_rollouts
+    starts = steps.obs[1:, :, 0]  # where episodes begin, by the rollout in which the one before ended
+    rollouts = list(zip(halves(steps.ended[:-1]), halves(starts), strict=True))
+    assert all(ended.sum() > 1.5 * ENVS for ended, _ in rollouts)
+    distinct = [set(at[ended[:, e], e].tolist()) for ended, at in rollouts for e in range(ENVS)]
     assert all(len(own) <= 1 for own in distinct)
     assert len(set.union(*distinct)) == sum(map(len, distinct))
 
 
 def halves(x):
-    """Of two windows' steps but the last: the first window's, and the second's."""
+    """Of two rollouts' steps but the last: the first rollout's, and the second's."""
     return x[:LENGTH], x[LENGTH:]
 
 
 def test_noise_is_standard_normal_and_every_steps_own():
-    noise = np.asarray(noise_of(jax.random.split(jax.random.key(0), 200), 30, 4))
+    noise = np.asarray(action_noise(jax.random.split(jax.random.key(0), 200), 30, 4))
     assert noise.shape == (30, 200, 4)
     assert stats.kstest(noise.ravel(), "norm").pvalue > 1e-3
     assert len(np.unique(noise)) > 0.99 * noise.size
@@ -89,7 +89,7 @@ def test_a_robots_future_does_not_depend_on_its_neighbours():
     env = counter(BOUND)
     keys = jax.random.split(jax.random.key(1), 4)
     order = jnp.array([2, 0, 3, 1])
-    run = jax.jit(lambda k: window(env, push_randomly, start(env, k, LIMIT), LENGTH, LIMIT))
+    run = jax.jit(lambda k: rollout(env, push_randomly, start(env, k, LIMIT), LENGTH, LIMIT))
     plain, permuted = run(keys)[1], run(keys[order])[1]
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[:, order], b), plain, permuted)
 
@@ -98,10 +98,10 @@ def test_out_of_step_only_the_first_episode_is_cut_short():
     def stay(noise, obs):
         return jnp.zeros((len(obs), 1)), obs[:, 0]
 
-    env, envs = counter(BOUND), 64
-    envs = start(env, jax.random.split(jax.random.key(3), envs), LIMIT, in_step=False)
-    _, steps, _ = jax.jit(lambda a: window(env, stay, a, 3 * LIMIT, LIMIT))(envs)
-    ends = [np.flatnonzero(steps.truncated[:, e]) for e in range(envs)]
+    env, count = counter(BOUND), 64
+    envs = start(env, jax.random.split(jax.random.key(3), count), LIMIT, in_step=False)
+    _, steps, _ = jax.jit(lambda a: rollout(env, stay, a, 3 * LIMIT, LIMIT))(envs)
+    ends = [np.flatnonzero(steps.truncated[:, e]) for e in range(count)]
     assert {int(e[0]) + 1 for e in ends} == set(range(1, LIMIT + 1))
     assert all((np.diff(e) == LIMIT).all() for e in ends)
     assert not np.asarray(steps.terminated).any()

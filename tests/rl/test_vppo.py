@@ -1,5 +1,7 @@
 """VPPO: advantages and loss against slow NumPy, and whole updates on a bandit whose answer is known."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,19 +12,20 @@ from jax.sharding import PartitionSpec as P
 from probes import target, transitions, true_rewards
 from scipy.stats import norm
 
+from qdil.config import PPO
+from qdil.devices.mesh import AXIS, make_mesh
 from qdil.rl import networks, vppo
 from qdil.rl.normalise import init_obs_stats
 from qdil.rl.rollout import start
-from qdil.devices.mesh import AXIS, make_mesh
 from qdil.types import ActionSample
 
-K, ENVS = 3, 24  # copies (one per reward stream), robots
-SETTINGS = vppo.Settings(
+EPISODE_LENGTH = 8
+K, ENVS = 3, 24  # copies (one per objective), robots
+SETTINGS = PPO(
     rollout_length=16,
-    episode_length=8,
     minibatches=2,
     gamma=0.9,
-    lam=0.8,
+    gae_lambda=0.8,
     clip=0.2,
     value_coef=0.5,
     entropy_coef=0.0,
@@ -54,13 +57,13 @@ jitted_gae = jax.jit(vppo.gae)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 0.6), st.floats(0.5, 1), st.floats(0, 1))
 def test_gae_agrees_with_the_sum_it_stands_for(seed, chance, gamma, lam):
     rng = np.random.default_rng(seed)
-    time, envs, streams = 12, 3, 2
-    rewards, values, next_values = rng.normal(size=(3, time, envs, streams))
+    time, envs, objectives = 12, 3, 2
+    rewards, values, next_values = rng.normal(size=(3, time, envs, objectives))
     ended, fell = rng.random((2, time, envs, 1)) < np.array([chance, 0.5])[:, None, None, None]
     terminated, truncated = (ended & fell).astype(float), (ended & ~fell).astype(float)
     fast = jitted_gae(rewards, values, next_values, terminated, truncated, gamma, lam)
     for e in range(envs):
-        for s in range(streams):
+        for s in range(objectives):
             one = (x[:, e, s] for x in (rewards, values, next_values))
             ends = terminated[:, e, 0], truncated[:, e, 0]
             np.testing.assert_allclose(fast[:, e, s], slow_gae(*one, *ends, gamma, lam), rtol=1e-4, atol=1e-4)
@@ -100,7 +103,7 @@ def dense(layers, x):
 
 
 def test_loss_is_ppos():
-    settings = SETTINGS._replace(value_coef=0.7, entropy_coef=0.3)
+    settings = replace(SETTINGS, value_coef=0.7, entropy_coef=0.3)
     rng = np.random.default_rng(0)
     policy = networks.init_policy(jax.random.key(0), 2, 2, (4,), 0.6)
     critic = networks.init_mlp(jax.random.key(1), (2, 4, K))
@@ -132,33 +135,34 @@ def test_loss_is_ppos():
     assert value_loss == pytest.approx(0.5 * np.mean(errors), rel=1e-4)
 
 
-# Updates of the bandit: stream 0 is −(a − ½)², stream 1 the share of actions above ¾, stream 2 of those below 0.
+# Updates of the bandit. Objective 0 is −(a − ½)², 1 the share of actions above ¾, 2 the share of actions below 0.
 
 
 def compile_updates(settings=SETTINGS, num_devices=1, copies=K):
-    """``(num_updates, weights (copies, K), tied, epochs) -> (train_state, transitions, info)``, from the same beginning."""
+    """A function ``(num_updates, weights (copies, K), tied, epochs) -> (train_state, stats, transitions, info)``."""
     env = target()
 
     def begin():
         policy = networks.init_policy(jax.random.key(0), 1, 1, (8,), 0.5)
         critic = networks.init_mlp(jax.random.key(1), (1, 8, K))
-        train_state = vppo.fork(vppo.init_learner(settings, policy, critic, K), copies)
+        train_state = vppo.replicate(vppo.init_train_state(settings, policy, critic, K), copies)
         return (
             train_state,
             init_obs_stats(1),
-            start(env, jax.random.split(jax.random.key(2), ENVS), settings.episode_length),
+            start(env, jax.random.split(jax.random.key(2), ENVS), EPISODE_LENGTH),
             (),
         )
 
     def run(state, num_updates, weights, tied, epochs):
         def once(state):
             train_state, stats, envs, carry = state
-            envs, steps, choice = vppo.collect(env, settings, train_state, stats, envs)
+            length = settings.rollout_length
+            envs, steps, sample = vppo.collect(env, length, EPISODE_LENGTH, train_state, stats, envs)
             carry, fitness = true_rewards(carry, stats, steps)
             key = jax.random.fold_in(jax.random.key(3), stats.seen.astype(int))
-            train_state, stats, info = vppo.learn(
-                settings, key, train_state, stats, steps, choice, fitness, weights, tied, epochs
-            )
+            experience = vppo.Experience(steps, sample, fitness)
+            weighting = vppo.Weighting(weights, tied)
+            train_state, stats, info = vppo.learn(settings, key, train_state, stats, experience, weighting, epochs)
             return train_state, stats, envs, carry, steps, info
 
         out = jax.eval_shape(once, state)
@@ -191,8 +195,8 @@ def leaves(tree, copy=None):
     return np.concatenate([np.ravel(leaf if copy is None else leaf[copy]) for leaf in jax.tree.leaves(tree)])
 
 
-def streams_of(policy):
-    """(K, K): by quadrature, the mean of every reward stream (columns) under every copy's policy at rest (rows)."""
+def objectives_of(policy):
+    """(K, K): by quadrature, the mean of every objective (columns) under every copy's policy at rest (rows)."""
     a = np.linspace(-4, 4, 4001)
     rows = []
     for i in range(K):
@@ -203,10 +207,10 @@ def streams_of(policy):
     return np.array(rows)
 
 
-def test_each_copy_improves_its_own_stream_the_most(updates):
-    before = streams_of(updates(0, jnp.eye(K), False)[0].policy)
+def test_each_copy_improves_its_own_objective_the_most(updates):
+    before = objectives_of(updates(0, jnp.eye(K), False)[0].policy)
     train_state, *_ = updates(25, jnp.eye(K), False)
-    after = streams_of(train_state.policy)
+    after = objectives_of(train_state.policy)
     assert after.argmax(axis=0).tolist() == [0, 1, 2]
     assert np.all(np.diag(after) > np.diag(before) + 0.1)
 
@@ -215,8 +219,8 @@ def test_the_bandits_answer_is_found(updates):
     train_state, _, _, info = updates(60, jnp.tile(jnp.eye(K)[0], (K, 1)), True)
     rest = dense(jax.tree.map(lambda leaf: np.asarray(leaf[0]), train_state.policy["mean"]), np.zeros(1))
     assert rest[0] == pytest.approx(0.5, abs=0.15)
-    assert info["action_std"] < 0.4
-    assert info["fitness_reward"] == info["true_reward"] > -0.2
+    assert info.action_std < 0.4
+    assert info.fitness_reward == info.true_reward > -0.2
 
 
 def test_tied_copies_stay_one_policy_and_untied_ones_part(updates):
@@ -252,11 +256,11 @@ def two_devices():
 
 
 def test_a_copy_past_its_kl_target_stops_alone():
-    # Copy 1 is paid nothing, so its policy never moves and only its critic goes on learning.
-    run = compile_updates(SETTINGS._replace(target_kl=1e-9))
+    # Copy 1 has no reward, so its policy never moves and only its critic goes on learning.
+    run = compile_updates(replace(SETTINGS, target_kl=1e-9))
     weights = jnp.array([[1.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
-    (once, _, _, said_once), (four_times, _, _, said) = run(1, weights, False, 1), run(1, weights, False, 4)
-    assert said["approx_kl"] == pytest.approx(said_once["approx_kl"])  # at which they stopped, and 0 of copy 1
+    (once, _, _, info_once), (four_times, _, _, info) = run(1, weights, False, 1), run(1, weights, False, 4)
+    assert info.approx_kl == pytest.approx(info_once.approx_kl)  # at which they stopped, and 0 of copy 1
     for copy in (0, 2):
         np.testing.assert_array_equal(leaves(four_times, copy), leaves(once, copy))
     np.testing.assert_array_equal(leaves(four_times.policy, 1), leaves(once.policy, 1))
@@ -269,7 +273,7 @@ def test_within_its_kl_target_a_copy_uses_every_epoch(updates):
         assert np.abs(leaves(four_times.policy, copy) - leaves(once.policy, copy)).max() > 1e-3
 
 
-def test_no_epochs_collect_a_window_and_teach_nothing(updates):
+def test_no_epochs_collect_a_rollout_and_teach_nothing(updates):
     begun, (train_state, stats, steps, _) = updates(0, jnp.eye(K), False), updates(1, jnp.eye(K), False, 0)
     np.testing.assert_array_equal(leaves(train_state.policy), leaves(begun[0].policy))
     np.testing.assert_array_equal(leaves(train_state.critic), leaves(begun[0].critic))
@@ -283,27 +287,28 @@ def test_the_critic_finds_the_known_value(updates):
     train_state, stats, steps, _ = updates(60, jnp.zeros((K, K)), True)
     one = jax.tree.map(lambda leaf: np.asarray(leaf[0]), train_state)
     obs = (np.asarray(steps.obs) - np.asarray(stats.mean)) / np.asarray(stats.std)
-    said = dense(one.critic, obs) * one.returns.std + one.returns.mean
+    output = dense(one.critic, obs) * one.returns.std + one.returns.mean
     known = np.asarray(steps.reward).mean() / (1 - SETTINGS.gamma)
-    assert said[..., 0].mean() == pytest.approx(known, rel=0.1)
+    assert output[..., 0].mean() == pytest.approx(known, rel=0.1)
 
 
-def test_clipping_is_measured_from_what_the_critic_said():
+def test_clipping_is_measured_from_the_critics_output():
     # Returns far from zero make the statistics jump; were ``value`` restated in the new ones, nothing would be learned.
     critic = networks.init_mlp(jax.random.key(1), (1, 8, K))
     policy = networks.init_policy(jax.random.key(0), 1, 1, (8,), 0.5)
-    train_state = vppo.init_learner(SETTINGS, policy, critic, K)
+    train_state = vppo.init_train_state(SETTINGS, policy, critic, K)
     obs = jnp.asarray(np.random.default_rng(0).normal(size=(16, 4, 1)), jnp.float32)
     steps = transitions(16, 4, obs=obs, next_obs=obs)
-    choice = ActionSample(steps.action, steps.reward)
+    sample = ActionSample(steps.action, steps.reward)
     rewards = jnp.full((16, 4, K), 7.0)
 
     def run(train_state):
-        window = jax.tree.map(lambda x: x[None], (steps, choice, rewards))
-        return vppo._prepare(train_state, *window, jnp.ones((1, K)), jnp.array(True), init_obs_stats(1), SETTINGS)
+        rollout = jax.tree.map(lambda x: x[None], (steps, sample, rewards))
+        weighting = vppo.Weighting(jnp.ones((1, K)), jnp.array(True))
+        return vppo._prepare(train_state, *rollout, weighting, init_obs_stats(1), SETTINGS)
 
     sharded = jax.shard_map(run, mesh=make_mesh(1), in_specs=P(), out_specs=P(), check_vma=False)
-    after, batch = jax.jit(sharded)(vppo.fork(train_state, 1))
+    after, batch = jax.jit(sharded)(vppo.replicate(train_state, 1))
     assert np.abs(after.returns.mean).min() > 5
     np.testing.assert_allclose(batch.value[0], dense(critic, steps.obs), atol=1e-5)
     expected = slow_gae(
