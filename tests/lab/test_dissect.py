@@ -8,10 +8,10 @@ from scipy import stats
 
 from qdil import ppga
 from qdil.config import make_config
-from qdil.lab import dissect
 from qdil.plotting import ppga as pictures
-from qdil.qd.xnes import XNES, utilities
 from qdil.rl.evaluate import Policies
+from qdil.qd.xnes import XNES, utilities
+from qdil.lab import dissect
 
 FEET = ("foot", "foot_left")
 

@@ -1,0 +1,69 @@
+"""One style for all figures, applied only while they are made; and a package that is quick to import."""
+
+import pkgutil
+import subprocess
+import sys
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+import qdil.plotting
+from qdil import plotting
+from qdil.plotting import comparisons
+from qdil.plotting.style import styled
+
+MODULES = [f"qdil.plotting.{module.name}" for module in pkgutil.iter_modules(qdil.plotting.__path__)]
+
+
+def test_importing_any_figure_does_not_import_jax():
+    code = f"import sys, {', '.join(MODULES)}; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_figures_of_finished_runs_do_not_import_jax():
+    code = """
+import sys, numpy, pandas
+from qdil import plotting
+archive = {"index": [0], "cells": [2, 2], "true_return": [1.0]}
+table = pandas.DataFrame({"iteration": [1], "qd_score": [1.0], "coverage": [0.1], "best": [1.0], "average": [1.0]})
+plotting.archives_side_by_side({"mcond-airl": archive}, robot="walker2d")
+plotting.learning_curves({"mcond-airl": table, "my own": table})
+index = pandas.MultiIndex.from_tuples([("gail+bonus_p=0.0", 1)], names=["experiment", "seed"])
+plotting.bars(table.set_index(index), ["qd_score"])
+plotting.grid(table.set_index(index))
+sys.exit('jax' in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_figures_have_the_style_and_leave_matplotlibs_settings_alone():
+    before = dict(matplotlib.rcParams)
+    [ax] = comparisons.curves({"loss": pd.DataFrame({"a": [1.0, 2.0], "b": [2.0, 1.0]})}, "updates", "").axes
+    assert dict(matplotlib.rcParams) == before
+    assert not ax.spines.top.get_visible() and not ax.spines.right.get_visible() and ax.spines.left.get_visible()
+    assert ax.xaxis.get_gridlines()[0].get_visible() and ax.get_axisbelow() is True
+    assert not ax.figure.legends[0].get_frame_on() and ax.figure.get_layout_engine() is not None
+
+
+def test_a_map_has_a_border_and_no_grid():
+    archive = {"index": [0], "cells": [2, 2], "true_return": [1.0]}
+    ax = plotting.archives_side_by_side({"true": archive}).axes[0]
+    assert all(spine.get_visible() for spine in ax.spines.values())
+    assert not any(line.get_visible() for line in ax.xaxis.get_gridlines())
+
+
+def test_the_style_ends_also_where_a_figure_is_refused():
+    before = dict(matplotlib.rcParams)
+
+    @styled
+    def refused():
+        Figure().subplots()
+        raise ValueError(np.nan)
+
+    try:
+        refused()
+    except ValueError:
+        pass
+    assert dict(matplotlib.rcParams) == before
