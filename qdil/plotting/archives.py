@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
+from qdil.imitation.selection import top_fifth
 from qdil.plotting.colours import BLUE, EMPTY, GREEN, RED
 from qdil.plotting.measures import STRIP, Plane, Space, label_measures, measure_panels, planes, scatter, set_title
 from qdil.plotting.style import FIELD_LABELS, label, styled
@@ -64,7 +65,9 @@ def _map(
 ) -> QuadMesh:
     """The coloured cells of ``heatmap``, each measure from 0 to 1."""
     if field not in archive or field not in FIELD_LABELS:
-        raise ValueError(f"field '{field}' cannot be drawn; choose one of {', '.join(FIELD_LABELS)} that is there.")
+        raise ValueError(
+            f"field '{field}' cannot be drawn; choose one of {', '.join(FIELD_LABELS)} that the archive has."
+        )
     values = project(archive, field, plane)
     edges = [np.linspace(0, 1, n + 1) for n in values.shape] + [np.array([0.0, STRIP])]
     most = max(values.shape)
@@ -165,8 +168,6 @@ def behaviour_space(expert: Mapping[str, Any], demos: Mapping[str, Any], robot: 
     """
     if "elite_measures" not in demos:
         raise ValueError("these demonstrations have no elite_measures: their elites' places are not known.")
-    from qdil.imitation.demos import top_fifth
-
     points = np.asarray(expert["measures"])
     pool = top_fifth(np.asarray(expert["true_return"]), int(np.prod(expert["cells"])))
     groups = [
@@ -176,8 +177,8 @@ def behaviour_space(expert: Mapping[str, Any], demos: Mapping[str, Any], robot: 
     ]
     k = points.shape[1]
     figure, [space] = measure_panels(1, k, robot, size=(4.4, 3.9), margin=(2.6, 0.0) if k == 2 else (0.6, 0.8))
-    for where, colour, marker, area, text in groups:
-        scatter(space, where, s=area, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=text)
+    for places, colour, marker, area, text in groups:
+        scatter(space, places, s=area, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=text)
     handles, labels = next(iter(space.values())).get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper" if k == 2 else "outside lower center")
     return figure

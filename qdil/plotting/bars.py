@@ -44,7 +44,7 @@ def bars(final: pd.DataFrame, metrics: str | Sequence[str] = tuple(METRICS)) -> 
 
 def _check(final: pd.DataFrame, metric: str) -> None:
     if metric not in LABELS or metric not in final:
-        raise ValueError(f"metric '{metric}' cannot be drawn; choose one of {', '.join(LABELS)} that is there.")
+        raise ValueError(f"metric '{metric}' cannot be drawn; choose one of {', '.join(LABELS)} that the table has.")
     if final.empty:
         raise ValueError("there are no runs to draw.")
 

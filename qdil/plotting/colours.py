@@ -94,28 +94,28 @@ def styles(experiments: Iterable[str]) -> dict[str, dict[str, Any]]:
     names = list(dict.fromkeys(experiments))
     methods = {name: name.split("+")[0] for name in names}
     spare = [name for name in names if _parsed(methods[name]) is None]
-    looks = {name: _method_style(methods[name], spare.index(name) if name in spare else 0) for name in names}
-    free = [colour for colour in SETTING_COLOURS if colour not in {look["color"] for look in looks.values()}]
+    line_styles = {name: _method_style(methods[name], spare.index(name) if name in spare else 0) for name in names}
+    free = [colour for colour in SETTING_COLOURS if colour not in {style["color"] for style in line_styles.values()}]
     for name, method in methods.items():
         varied = [other for other in names if methods[other] == method and "+" in other]
         if name in varied:
             number = varied.index(name)
-            looks[name] |= _setting_style(number + 1)
-            looks[name] |= {"color": free[number % len(free)]} if len(varied) >= MANY else {}
-    return looks
+            line_styles[name] |= _setting_style(number + 1)
+            line_styles[name] |= {"color": free[number % len(free)]} if len(varied) >= MANY else {}
+    return line_styles
 
 
 def _method_style(name: str, spare: int) -> dict[str, Any]:
     method = _parsed(name)
-    look: dict[str, Any] = {"color": method_colour(name, spare), "ls": "-", "marker": "None"}
+    style: dict[str, Any] = {"color": method_colour(name, spare), "ls": "-", "marker": "None"}
     if method is None:
-        return look | {"marker": MARKERS_OF_SETTINGS[-1 - spare % 6]}
+        return style | {"marker": MARKERS_OF_SETTINGS[-1 - spare % 6]}
     if method.base.name == "true":
-        look |= {"ls": "--"}
+        style |= {"ls": "--"}
     elif method.obs_only:
-        look |= {"ls": "-."}
+        style |= {"ls": "-."}
     marker = MARKERS.get(method.base.name, "None" if method.base.name == "true" else "*")
-    return look | {"marker": marker, "fillstyle": FILLS[method.conditioned, method.bonus]}
+    return style | {"marker": marker, "fillstyle": FILLS[method.conditioned, method.bonus]}
 
 
 def _setting_style(number: int) -> dict[str, Any]:

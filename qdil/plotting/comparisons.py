@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from qdil.imitation.selection import top_fifth
 from qdil.methods import method_names
 from qdil.names import title
 from qdil.plotting.colours import BLUE, GREEN, RED, SERIES, method_colour, styles
@@ -47,12 +48,14 @@ def curves(
     of a share stay small. Raises ValueError where there is nothing to draw.
     """
     figure, axes = _panels([title(name) for name in panels], columns, height=3.1)
-    looks = _line_styles(list(dict.fromkeys(str(name) for table in panels.values() for name in table.columns)))
+    line_styles = _line_styles(list(dict.fromkeys(str(name) for table in panels.values() for name in table.columns)))
     lines: dict[str, Any] = {}
     for i, (ax, table) in enumerate(zip(axes, panels.values(), strict=True)):
         marker = "o" if len(table) < 20 else None
         for name in table.columns:
-            lines[title(str(name))] = ax.plot(table.index, table[name], **looks[str(name)], marker=marker, ms=4)[0]
+            lines[title(str(name))] = ax.plot(table.index, table[name], **line_styles[str(name)], marker=marker, ms=4)[
+                0
+            ]
         ax.set(xlabel=x_label, ylabel=y_label if i % columns == 0 else "")
         if from_zero:
             ax.set_ylim(0, 1.05 * max(0.01, float(table.max(axis=None))))
@@ -65,13 +68,13 @@ def curves(
 
 def _line_styles(names: list[str]) -> dict[str, dict[str, Any]]:
     """Colour and dash of lines: a method's own, or the next of ``SERIES`` and ``DASHES``."""
-    looks: dict[str, dict[str, Any]] = {}
+    line_styles: dict[str, dict[str, Any]] = {}
     for i, name in enumerate(names):
         if name in method_names():
-            looks[name] = {key: value for key, value in styles([name])[name].items() if key in ("color", "ls")}
+            line_styles[name] = {key: value for key, value in styles([name])[name].items() if key in ("color", "ls")}
         else:
-            looks[name] = {"color": SERIES[i % len(SERIES)], "ls": DASHES[i // len(SERIES) % len(DASHES)]}
-    return looks
+            line_styles[name] = {"color": SERIES[i % len(SERIES)], "ls": DASHES[i // len(SERIES) % len(DASHES)]}
+    return line_styles
 
 
 def _legend(figure: Figure, axes: Sequence[Axes], handles: Sequence[Any], labels: Sequence[str]) -> None:
@@ -126,8 +129,6 @@ def demonstrators(archive: Mapping[str, Any], chosen: Mapping[int, Any], robot: 
     ``archive`` has ``true_return`` (N,), ``measures`` (N, k) and ``cells`` (k,). Raises ValueError where there is
     nothing to draw.
     """
-    from qdil.imitation.demos import top_fifth
-
     points = np.asarray(archive["measures"])
     pool = top_fifth(np.asarray(archive["true_return"]), int(np.prod(archive["cells"])))
     figure, spaces = measure_panels(len(chosen), points.shape[1], robot, size=(3.3, 3.7), margin=(1.2, 0.4))

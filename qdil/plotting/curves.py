@@ -34,11 +34,11 @@ def learning_curves(metrics: Mapping[str, Tables], x: str = "iteration") -> Figu
     columns = min(len(seeds), MOST_CHARACTERS // (6 + max(len(label(name)) for name in seeds)))
     figure = Figure(figsize=(13, 3.3 + 0.25 * ((len(seeds) - 1) // columns)))
     axes = figure.subplots(1, len(METRICS))
-    looks = styles(seeds)
+    line_styles = styles(seeds)
     for ax, (name, title) in zip(axes, METRICS.items(), strict=True):
         for i, (experiment, tables) in enumerate(seeds.items()):
             if tables:
-                _draw(ax, tables, x, name, looks[experiment] | {"label": label(experiment)}, i)
+                _draw(ax, tables, x, name, line_styles[experiment] | {"label": label(experiment)}, i)
         ax.set(xlabel=X_LABELS[x], title=title)
         ax.xaxis.get_major_locator().set_params(integer=x == "iteration", nbins=5)
         ax.yaxis.set_major_formatter(short)

@@ -9,6 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from qdil.imitation.selection import farthest_points, top_fifth
 from qdil.plotting.colours import FEET, GREEN, RED
 from qdil.plotting.measures import Space, foot_names, measure_panels, scatter, set_title
 from qdil.plotting.style import styled
@@ -25,8 +26,6 @@ def selection(expert: Mapping[str, Any], count: int, robot: str | None = None) -
     cells is the pool; a point's colour is its distance to the nearest demonstrator so far, and the ring marks the
     farthest point, which is chosen next. Raises ValueError for fewer elites than demonstrators.
     """
-    from qdil.imitation.demos import farthest_points, top_fifth
-
     points = np.asarray(expert["measures"])
     pool = points[top_fifth(np.asarray(expert["true_return"]), int(np.prod(expert["cells"])))]
     chosen = pool[farthest_points(pool, count)]

@@ -215,15 +215,15 @@ def coefficients(metrics: Mapping[str, Sequence[pd.DataFrame]]) -> Figure:
     figure = Figure(figsize=(12, 3.4))
     axes = figure.subplots(1, 3)
     titles = ("$|c_0|$ of the walk", r"$|c_0|\,/\,\sum_j |c_j|$", "cells newly filled (% of the archive)")
-    looks = styles(metrics)
+    line_styles = styles(metrics)
     for name, tables in metrics.items():
-        look = looks[name] | {"marker": "None"}
+        style = line_styles[name] | {"marker": "None"}
         shown = [_coefficients(table) for table in tables]
         shortest = min(map(len, shown))
         mean = pd.DataFrame(np.mean([table.iloc[:shortest] for table in shown], axis=0), columns=shown[0].columns)
         smooth = mean.rolling(max(1, shortest // 20), min_periods=1, center=True).mean()
         for ax, column in zip(axes, smooth, strict=True):
-            ax.plot(np.arange(1, shortest + 1), smooth[column], label=label(name), **look)
+            ax.plot(np.arange(1, shortest + 1), smooth[column], label=label(name), **style)
     for ax, title in zip(axes, titles, strict=True):
         ax.set(xlabel="QD iteration", ylabel=title)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -26,9 +26,13 @@ def test_figures_of_finished_runs_do_not_import_jax():
     code = """
 import sys, numpy, pandas
 from qdil import plotting
+from qdil.plotting import demonstrations
 archive = {"index": [0], "cells": [2, 2], "true_return": [1.0]}
 table = pandas.DataFrame({"iteration": [1], "qd_score": [1.0], "coverage": [0.1], "best": [1.0], "average": [1.0]})
 plotting.archives_side_by_side({"mcond-airl": archive}, robot="walker2d")
+places = {"measures": numpy.zeros((1, 2)), **archive}
+plotting.behaviour_space(places, {"elite_measures": numpy.zeros((1, 2))})
+demonstrations.selection(places, 1)
 plotting.learning_curves({"mcond-airl": table, "my own": table})
 index = pandas.MultiIndex.from_tuples([("gail+bonus_p=0.0", 1)], names=["experiment", "seed"])
 plotting.bars(table.set_index(index), ["qd_score"])
