@@ -33,29 +33,37 @@ def measure_panels(
 ) -> tuple[Figure, list[Space]]:
     """A figure with ``count`` measure spaces of k measures, and the axes of each.
 
-    ``size`` is the width and height in inches of a space of two measures, ``margin`` what the figure adds for legends
-    and colour bars, ``in_a_row`` the most spaces of two measures beside each other. Only the outer axes have labels.
+    ``size`` is the width and height in inches of a space of two measures, and ``in_a_row`` the most of them side by
+    side; strips and triangles have sizes of their own. ``margin`` is added to the figure's width and height for
+    legends and colour bars. Only the outer axes have labels. Raises ValueError for a ``count`` of 0.
     """
     if count < 1:
         raise ValueError("there is nothing to draw.")
-    across = max(1, k - 1)  # squares in each direction of a triangle
-    if k == 1:
-        (width, height), most = STRIP_SIZE, 1
-    elif k == 2:
-        (width, height), most = size, in_a_row
-    else:
-        (width, height), most = (SMALL * across,) * 2, max(1, int(WIDEST / (SMALL * across)))
+    (width, height), most = _size(k, size, in_a_row)
     rows = math.ceil(count / most)
     columns = math.ceil(count / rows)
     figure = Figure(figsize=(width * columns + margin[0], height * rows + margin[1]))
-    grid = figure.subplots(rows * across, columns * across, squeeze=False)
-    corners = [(across * (number // columns), across * (number % columns)) for number in range(count)]
-    spaces = [{p: grid[top + p[-1] - (k > 1), left + p[0]] for p in planes(k)} for top, left in corners]
+    squares = max(1, k - 1)  # of a triangle, in each direction
+    grid = figure.subplots(rows * squares, columns * squares, squeeze=False)
+    spaces = []
+    for number in range(count):
+        top, left = squares * (number // columns), squares * (number % columns)
+        block = grid[top : top + squares, left : left + squares]
+        space = {plane: block[max(0, plane[-1] - 1), plane[0]] for plane in planes(k)}
+        _label_outer(space, k, robot, is_left=left == 0, is_lowest=number + columns >= count)
+        spaces.append(space)
     _remove_unused(grid, spaces)
-    for number, space in enumerate(spaces):
-        is_lowest = number + columns >= count
-        _label_outer(space, k, robot, is_left=number % columns == 0, is_lowest=is_lowest)
     return figure, spaces
+
+
+def _size(k: int, size: tuple[float, float], in_a_row: int) -> tuple[tuple[float, float], int]:
+    """Width and height in inches of a space of k measures, and how many fit side by side."""
+    if k == 1:
+        return STRIP_SIZE, 1
+    if k == 2:
+        return size, in_a_row
+    side = SMALL * (k - 1)
+    return (side, side), max(1, int(WIDEST / side))
 
 
 def _remove_unused(grid: np.ndarray, spaces: Sequence[Space]) -> None:
