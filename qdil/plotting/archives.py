@@ -84,7 +84,7 @@ def value_label(field: str, k: int) -> str:
     if k <= 2:
         return f"{FIELD_LABELS[field]}\ngrey: empty cell"
     others = "the other measure" if k == 3 else f"the other {k - 2} measures"
-    return f"{FIELD_LABELS[field]},\nbest value over {others}; grey: no filled cell"
+    return f"{FIELD_LABELS[field]},\nbest value over {others}\ngrey: no filled cell"
 
 
 def draw_colour_bar(mesh: QuadMesh, axes: list[Axes], field: str, k: int) -> None:
@@ -176,7 +176,7 @@ def behaviour_space(expert: Mapping[str, Any], demos: Mapping[str, Any], robot: 
         (np.asarray(demos["elite_measures"]), RED, "*", 230, f"demonstrators ({len(demos['elite_measures'])})"),
     ]
     k = points.shape[1]
-    figure, [space] = measure_panels(1, k, robot, size=(4.4, 3.9), margin=(2.6, 0.0) if k == 2 else (0.6, 0.8))
+    figure, [space] = measure_panels(1, k, robot, size=(4.4, 3.9), margin=(2.6, 0.0) if k == 2 else (0.6, 1.1))
     for places, colour, marker, area, text in groups:
         scatter(space, places, s=area, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=text)
     handles, labels = next(iter(space.values())).get_legend_handles_labels()

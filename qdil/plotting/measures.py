@@ -123,7 +123,7 @@ def measure_labels(robot: str | None = None, k: int = 2) -> list[str]:
         return [f"share of time {named[0]} touches the ground"]
     if k == 2:
         return [f"share of time {foot}\ntouches the ground" for foot in named]
-    return [f"share of time on the ground:\n{foot}" for foot in named]
+    return ["share of time down:\n" + foot.replace(" (", "\n(") for foot in named]
 
 
 def label_measures(ax: Axes, robot: str | None = None, k: int = 2, plane: Plane = (0, 1)) -> None:

@@ -93,8 +93,8 @@ def test_every_plane_of_an_archive_can_be_chosen(k):
             plotting.heatmap(archive, Figure().subplots(), plane=plane)
 
 
-@pytest.mark.parametrize("k, caption", [(1, "empty cell"), (2, "empty cell"), (3, "best value over the other measure;"),
-                                        (4, "best value over the other 2 measures;")])  # fmt: skip
+@pytest.mark.parametrize("k, caption", [(1, "empty cell"), (2, "empty cell"), (3, "best value over the other measure\n"),
+                                        (4, "best value over the other 2 measures\n")])  # fmt: skip
 def test_the_caption_says_what_a_projection_shows(k, caption):
     [bar] = [ax for ax in plotting.archives_side_by_side({"true": made_up(k)}).axes if ax.get_label() == "<colorbar>"]
     text = bar.get_xlabel() + bar.get_ylabel()
