@@ -131,7 +131,7 @@ def demonstrators(archive: Mapping[str, Any], chosen: Mapping[int, Any], robot: 
     """
     points = np.asarray(archive["measures"])
     pool = top_fifth(np.asarray(archive["true_return"]), int(np.prod(archive["cells"])))
-    figure, spaces = measure_panels(len(chosen), points.shape[1], robot, size=(3.3, 3.8), margin=(1.2, 0.6))
+    figure, spaces = measure_panels(len(chosen), points.shape[1], robot, size=(3.3, 3.7), margin=(1.2, 0.8))
     for space, (n, measures) in zip(spaces, chosen.items(), strict=True):
         scatter(space, points, s=14, color="0.8", label="expert's archive")
         scatter(space, points[pool], s=14, color=BLUE, label="best fifth of the cells")

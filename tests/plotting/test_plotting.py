@@ -9,10 +9,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from qdil import plotting
-from qdil.runs.studies import STUDIES
+from qdil.methods import method_names
 from qdil.plotting import style
 from qdil.plotting.curves import over_seeds
-from qdil.methods import method_names
+from qdil.runs.studies import STUDIES
 
 # Machado, Oliveira and Fernandes (2009), severity 1: what is seen of linear RGB without one kind of cone.
 VISION = {

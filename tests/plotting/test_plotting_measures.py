@@ -93,8 +93,15 @@ def test_every_plane_of_an_archive_can_be_chosen(k):
             plotting.heatmap(archive, Figure().subplots(), plane=plane)
 
 
-@pytest.mark.parametrize("k, caption", [(1, "empty cell"), (2, "empty cell"), (3, "best value over the other measure\n"),
-                                        (4, "best value over the other 2 measures\n")])  # fmt: skip
+CAPTIONS = {
+    1: "grey: empty cell",
+    2: "grey: empty cell",
+    3: "over the other measure\n",
+    4: "over the other 2 measures\n",
+}
+
+
+@pytest.mark.parametrize("k, caption", CAPTIONS.items())
 def test_the_caption_says_what_a_projection_shows(k, caption):
     [bar] = [ax for ax in plotting.archives_side_by_side({"true": made_up(k)}).axes if ax.get_label() == "<colorbar>"]
     text = bar.get_xlabel() + bar.get_ylabel()
