@@ -11,7 +11,7 @@ from qdil.evidence.readings import NAMES
 from qdil.evidence.verdicts import KINDS, NO_RUNS, Finding, Part, Verdict
 from qdil.files import replace_file
 from qdil.lab.lemma.trials import ROUNDING
-from qdil.plotting.style import label
+from qdil.names import label
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.runs.folder import RESULTS
 from qdil.runs.studies import STUDIES

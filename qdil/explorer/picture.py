@@ -14,7 +14,7 @@ from qdil.explorer import shown as showing
 from qdil.explorer.rollouts import Rollout
 from qdil.explorer.shown import Shown
 from qdil.plotting import heatmap, to_png
-from qdil.plotting.style import RED
+from qdil.plotting.colours import RED
 
 WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches and dots: the size of the frame that lies over it
 MOMENTS = 3

@@ -10,9 +10,9 @@ import numpy as np
 
 from qdil.errors import ConfigError
 from qdil.explorer import rollouts
-from qdil.explorer.names import title
 from qdil.explorer.rollouts import Rollout
 from qdil.imitation.demos import farthest_points, top_fifth
+from qdil.names import title
 from qdil.rl.evaluate import Policies
 from qdil.robots import brax_robots, register, shapes
 from qdil.runs.folder import read_archive, read_config

@@ -1,4 +1,4 @@
-"""Demonstrations: choosing expert elites (section 5.2), recording their episodes, keeping them in a file."""
+"""Demonstrations: recording the episodes of the chosen elites (``selection``), and keeping them in a file."""
 
 from pathlib import Path
 
@@ -8,37 +8,15 @@ import numpy as np
 
 from qdil.files import write_npz
 from qdil.imitation.reward_model import Demonstrations
+from qdil.imitation.selection import farthest_points as farthest_points
+from qdil.imitation.selection import select as select
+from qdil.imitation.selection import top_fifth as top_fifth
 from qdil.rl import networks
 from qdil.rl.rollout import rollout, start
 from qdil.robots.environment import Environment
 from qdil.types import Normaliser, Params
 
 FIELDS = ("obs", "action", "next_obs", "proxy")
-
-
-def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
-    """Rows of the best elites: as many as a fifth of the archive's cells (500 of the paper's 2500), best first."""
-    return np.argsort(-fitness, kind="stable")[: max(1, cells // 5)]
-
-
-def farthest_points(measures: np.ndarray, count: int) -> np.ndarray:
-    """Rows of ``count`` diverse ``measures`` (N, k): the first, then always the one farthest from all chosen.
-
-    Raises ValueError if there are fewer points than asked for.
-    """
-    if len(measures) < count:
-        raise ValueError(f"{count} demonstrations were asked for, but only {len(measures)} elites are there.")
-    chosen = [0]
-    while len(chosen) < count:
-        distances = np.linalg.norm(measures[:, None] - measures[chosen][None], axis=-1)
-        chosen.append(int(np.argmax(distances.min(axis=1))))
-    return np.asarray(chosen)
-
-
-def select(fitness: np.ndarray, measures: np.ndarray, cells: int, count: int) -> np.ndarray:
-    """Rows of the ``count`` demonstrators: farthest points, from the best, among the top fifth."""
-    pool = top_fifth(fitness, cells)
-    return pool[farthest_points(measures[pool], count)]
 
 
 def record(

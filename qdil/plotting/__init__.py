@@ -1,7 +1,8 @@
-"""Pictures of archives and runs; every function takes arrays, tables or axes and returns what it drew.
+"""Figures of archives, runs and experiments, in one style, for robots with any number of feet.
 
-Nothing here keeps state between calls or goes through pyplot's current figure, so a figure shows once, where it is
-asked for.
+Every function takes arrays, tables or axes and returns what it drew. Nothing keeps state between calls or uses
+pyplot's current figure, so a notebook shows a figure once, where a cell returns it. Importing this package does not
+import JAX; the few figures that need it import it when they are drawn.
 """
 
 from qdil.plotting.archives import archives_side_by_side, behaviour_space, heatmap
@@ -9,7 +10,8 @@ from qdil.plotting.bars import bars, grid
 from qdil.plotting.colours import method_colour, styles
 from qdil.plotting.curves import learning_curves
 from qdil.plotting.live import LiveArchive, live_figure
-from qdil.plotting.style import METRICS, X_LABELS, label, label_measures, measure_labels, save, to_png
+from qdil.plotting.measures import label_measures, measure_labels
+from qdil.plotting.style import METRICS, X_LABELS, label, save, to_png
 
 __all__ = [
     "METRICS",

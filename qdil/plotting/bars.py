@@ -1,4 +1,4 @@
-"""Final metrics: a bar per experiment with every seed on it, and the heatmap of a grid of settings."""
+"""Final metrics: a bar for every experiment with a dot for every seed, and a heatmap over a grid of settings."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,26 +10,29 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from qdil.plotting.colours import method_colour
-from qdil.plotting.style import EMPTY, METRICS, MORE_METRICS, SETTING_LABELS, label, percent, short
+from qdil.config import value_of
+from qdil.names import SETTINGS
+from qdil.plotting.colours import EMPTY, method_colour
+from qdil.plotting.style import METRICS, MORE_METRICS, label, percent, short, styled
 from qdil.runs.studies import config_of
 
 LABELS = {**METRICS, **MORE_METRICS}
 
 
+@styled
 def bars(final: pd.DataFrame, metrics: str | Sequence[str] = tuple(METRICS)) -> Figure:
-    """A panel per metric with a bar per experiment: the mean over seeds, whiskers of ± one standard deviation, a dot
-    for every seed.
+    """A panel for every metric with a bar for every experiment, over its seeds.
 
-    ``final``: a row per experiment and seed, as from ``tables.final``. Raises ValueError for a metric that is not
-    there or where there is nothing to draw.
+    A bar is the mean, its whiskers are ± one standard deviation, and every seed is a dot. ``final`` has a row per
+    experiment and seed, as from ``tables.final``. Raises ValueError for a metric that is not a column of ``final``,
+    or where there is nothing to draw.
     """
     chosen = [metrics] if isinstance(metrics, str) else list(metrics)
     for metric in chosen:
         _check(final, metric)
     experiments = list(dict.fromkeys(final.index.get_level_values("experiment")))
     height = 1.0 + 0.32 * len(experiments)
-    figure = Figure(figsize=(2.2 + 2.7 * len(chosen), max(2.0, height)), layout="constrained")
+    figure = Figure(figsize=(2.2 + 2.7 * len(chosen), max(2.0, height)))
     axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
     for ax, metric in zip(axes, chosen, strict=True):
         _bars(ax, final[metric] * percent(metric), experiments)
@@ -41,7 +44,7 @@ def bars(final: pd.DataFrame, metrics: str | Sequence[str] = tuple(METRICS)) -> 
 
 def _check(final: pd.DataFrame, metric: str) -> None:
     if metric not in LABELS or metric not in final:
-        raise ValueError(f"metric '{metric}' cannot be drawn; choose one of {', '.join(LABELS)} that is there.")
+        raise ValueError(f"metric '{metric}' cannot be drawn; choose one of {', '.join(LABELS)} that the table has.")
     if final.empty:
         raise ValueError("there are no runs to draw.")
 
@@ -51,27 +54,29 @@ def _bars(ax: Axes, values: pd.Series, experiments: list[str]) -> None:
         seeds = values.xs(experiment, level="experiment").to_numpy(float)
         ax.barh(row, seeds.mean(), height=0.7, color=method_colour(experiment), alpha=0.75)
         if len(seeds) > 1:
-            ax.errorbar(seeds.mean(), row, xerr=seeds.std(ddof=1), color="black", capsize=3, lw=1)
+            ax.errorbar(seeds.mean(), row, xerr=seeds.std(ddof=1), color="black", lw=1)
         ax.plot(seeds, np.full(len(seeds), row), "o", ms=4, mfc="white", mec="black", mew=0.8)
     ax.axvline(0, color="black", lw=0.8)
-    ax.grid(axis="x", color="0.92")
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right", "left"]].set_visible(False)
+    ax.yaxis.grid(False)
+    ax.spines.left.set_visible(False)
     ax.tick_params(axis="y", length=0)
     ax.xaxis.set_major_locator(MaxNLocator(3))
     ax.xaxis.set_major_formatter(short)
 
 
+@styled
 def grid(final: pd.DataFrame, rows: str = "bonus_p", columns: str = "bonus_q", metric: str = "qd_score") -> Figure:
-    """A metric's mean over seeds as a heatmap over two settings, each cell with its number; grey: no run.
+    """A metric's mean over seeds as a heatmap over two settings, with its number in every cell; grey: no run.
 
-    ``final`` as in ``bars``; ``rows`` and ``columns`` name settings, read from the experiments' names. Raises
-    ValueError for a metric that is not there, nothing to draw, or two experiments on one cell.
+    ``final`` as in ``bars``. ``rows`` and ``columns`` are settings; their values are read from the experiments' names.
+    Raises ValueError for a metric that is not a column, nothing to draw, or two experiments on one cell.
     """
     _check(final, metric)
     ys, xs, table = _on_grid(final[metric] * percent(metric), rows, columns)
-    figure = Figure(figsize=(2.6 + 1.3 * len(xs), 1.6 + 0.9 * len(ys)), layout="constrained")
+    figure = Figure(figsize=(2.6 + 1.3 * len(xs), 1.6 + 0.9 * len(ys)))
     ax = figure.subplots()
+    ax.grid(False)
+    ax.spines[:].set_visible(True)
     image = ax.imshow(table, cmap=colormaps["viridis"].with_extremes(bad=EMPTY), origin="lower", aspect="auto")
     low, high = np.nanmin(table), np.nanmax(table)
     for (i, j), value in np.ndenumerate(table):
@@ -80,7 +85,7 @@ def grid(final: pd.DataFrame, rows: str = "bonus_p", columns: str = "bonus_q", m
         ax.text(j, i, text if np.isfinite(value) else "no run", ha="center", va="center", color=colour)
     ax.set_xticks(range(len(xs)), [f"{x:g}" for x in xs])
     ax.set_yticks(range(len(ys)), [f"{y:g}" for y in ys])
-    ax.set(xlabel=SETTING_LABELS.get(columns, columns), ylabel=SETTING_LABELS.get(rows, rows))
+    ax.set(xlabel=SETTINGS.get(columns, columns), ylabel=SETTINGS.get(rows, rows))
     counts = final.groupby(level="experiment").size()
     seeds = " to ".join(map(str, dict.fromkeys([counts.min(), counts.max()])))
     ax.set_title(f"mean over {seeds} seed{'s' if counts.max() > 1 else ''}")
@@ -89,18 +94,18 @@ def grid(final: pd.DataFrame, rows: str = "bonus_p", columns: str = "bonus_q", m
 
 
 def _on_grid(values: pd.Series, rows: str, columns: str) -> tuple[list[float], list[float], np.ndarray]:
-    """The settings that occur (y,), (x,), and the values' means over seeds (y, x), not-a-number where there is none."""
+    """The values of the two settings (y,), (x,), and means over seeds (y, x), NaN where there is no run."""
     means = values.groupby(level="experiment", sort=False).mean()
-    where = [(_setting(str(name), rows), _setting(str(name), columns)) for name in means.index]
-    if len(set(where)) < len(where):
+    places = [(_setting(str(name), rows), _setting(str(name), columns)) for name in means.index]
+    if len(set(places)) < len(places):
         raise ValueError(f"these experiments differ in more than {rows} and {columns}: a grid cannot show them.")
-    ys, xs = sorted({y for y, _ in where}), sorted({x for _, x in where})
+    ys, xs = sorted({y for y, _ in places}), sorted({x for _, x in places})
     table = np.full((len(ys), len(xs)), np.nan)
-    for (y, x), mean in zip(where, means, strict=True):
+    for (y, x), mean in zip(places, means, strict=True):
         table[ys.index(y), xs.index(x)] = mean
     return ys, xs, table
 
 
 def _setting(experiment: str, name: str) -> Any:
-    """The value of a setting that an experiment's name gives, or the default."""
-    return getattr(config_of(experiment, "walker2d", "full"), name)
+    """The value of a setting in an experiment: from the experiment's name, or the default."""
+    return value_of(config_of(experiment, "walker2d", "full"), name)

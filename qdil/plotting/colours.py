@@ -1,8 +1,8 @@
-"""A colour for every method, the same in every figure, and a second channel where colours might be confused.
+"""Colours: Okabe and Ito's, one for every foot, and one for every method that is the same in every figure.
 
-Colours are near Okabe and Ito's and Tol's, and those that a study draws together are told apart with any kind of colour
-vision (the tests simulate three kinds of deficiency); each base also has a marker of its own, filled according to the
-prefix, and a method that is drawn under several settings has a dash for each.
+Methods that a study draws together have colours that differ with any kind of colour vision (the tests simulate three
+kinds of deficiency). Each base also has a marker, filled according to the prefix. Where a figure draws one method under
+several settings, each setting has a dash and a marker of its own.
 """
 
 from collections.abc import Iterable
@@ -13,16 +13,24 @@ from matplotlib.colors import to_hex, to_rgb
 from qdil.config import ConfigError
 from qdil.methods import OBS_ONLY, Method, parse_method
 
+# Okabe and Ito's colours. RED is their vermillion, PINK their reddish purple.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
+YELLOW, BLUE, RED, PINK = "#f0e442", "#0072b2", "#d55e00", "#cc79a7"
+GREY = "#999999"
+EMPTY = "0.87"  # grey of an empty cell
+SERIES = (BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK)  # of lines, boxes and points without a colour of their own
+FEET = (RED, BLUE, GREEN, PINK, ORANGE, SKY)  # foot 1, foot 2, …; a robot has at most six
+
 METHOD_COLOURS = {
-    "true": "#000000",
-    "mbo-true": "#009e73",
-    "zero": "#999999",
+    "true": BLACK,
+    "mbo-true": GREEN,
+    "zero": GREY,
     "mbo-zero": "#117733",
-    "gail": "#0072b2",
-    "mcond-gail": "#56b4e9",
-    "mbo-gail": "#e69f00",
-    "mconbo-gail": "#d55e00",
-    "vail": "#cc79a7",
+    "gail": BLUE,
+    "mcond-gail": SKY,
+    "mbo-gail": ORANGE,
+    "mconbo-gail": RED,
+    "vail": PINK,
     "mconbo-vail": "#882255",
     "airl": "#2e6b2e",
     "mconbo-airl": "#7fbc41",
@@ -33,7 +41,7 @@ METHOD_COLOURS = {
     "maxent": "#bbbbbb",
     "mconbo-maxent": "#4d4d4d",
 }
-OTHER_COLOURS = ("#cc79a7", "#882255", "#999999", "#332288", "#117733")  # for what is no method of these bases
+OTHER_COLOURS = (PINK, "#882255", GREY, "#332288", "#117733")  # of names that are no methods, and of new bases
 MARKERS = {"gail": "o", "vail": "s", "airl": "^", "giril": "v", "pwil": "D", "maxent": "P", "zero": "X"}
 FILLS = {(False, False): "none", (True, False): "left", (False, True): "bottom", (True, True): "full"}
 DASHES: tuple[Any, ...] = (
@@ -45,12 +53,12 @@ DASHES: tuple[Any, ...] = (
     (0, (3, 1, 1, 1, 1, 1)),
 )
 MARKERS_OF_SETTINGS = ("o", "s", "^", "v", "D", "P", "X", "<", ">", "*", "p", "h", "d")
-MANY = 5  # settings of one method in one picture, beyond which its own colour is not enough
-SETTING_COLOURS = ("#332288", "#56b4e9", "#117733", "#ddaa33", "#aa4499", "#999933", "#882255", "#44aa99", "#777777")
+MANY = 5  # from so many settings of one method in one figure on, each setting has a colour of its own
+SETTING_COLOURS = ("#332288", SKY, "#117733", "#ddaa33", "#aa4499", "#999933", "#882255", "#44aa99", "#777777")
 
 
 def method_colour(experiment: str, others: int = 0) -> str:
-    """The colour of an experiment's method; a name that is no method takes number ``others`` of the spare ones."""
+    """The colour of an experiment's method; for a name that is no method, number ``others`` of ``OTHER_COLOURS``."""
     name = experiment.split("+")[0]
     if name in METHOD_COLOURS:
         return METHOD_COLOURS[name]
@@ -78,39 +86,39 @@ def _mix(colour: str, other: str, share: float) -> str:
 
 
 def styles(experiments: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """How lines of experiments that are drawn together look, as arguments of ``Axes.plot``; no two look the same.
+    """Arguments of ``Axes.plot`` for every experiment of one figure; no two experiments get the same.
 
-    A method has its colour, its base's marker, and is dashed where the reward is the true one. Under other settings it
-    gets a dash and marker for each, and where they are many also other colours.
+    A method has its colour and its base's marker, and is dashed if its reward is the true one. Each experiment with
+    changed settings has a dash and a marker of its own and, from ``MANY`` experiments of one method on, a colour.
     """
     names = list(dict.fromkeys(experiments))
     methods = {name: name.split("+")[0] for name in names}
     spare = [name for name in names if _parsed(methods[name]) is None]
-    looks = {name: _method_style(methods[name], spare.index(name) if name in spare else 0) for name in names}
-    free = [colour for colour in SETTING_COLOURS if colour not in {look["color"] for look in looks.values()}]
+    line_styles = {name: _method_style(methods[name], spare.index(name) if name in spare else 0) for name in names}
+    free = [colour for colour in SETTING_COLOURS if colour not in {style["color"] for style in line_styles.values()}]
     for name, method in methods.items():
         varied = [other for other in names if methods[other] == method and "+" in other]
         if name in varied:
             number = varied.index(name)
-            looks[name] |= _setting_style(number + 1)
-            looks[name] |= {"color": free[number % len(free)]} if len(varied) >= MANY else {}
-    return looks
+            line_styles[name] |= _setting_style(number + 1)
+            line_styles[name] |= {"color": free[number % len(free)]} if len(varied) >= MANY else {}
+    return line_styles
 
 
 def _method_style(name: str, spare: int) -> dict[str, Any]:
     method = _parsed(name)
-    look: dict[str, Any] = {"color": method_colour(name, spare), "ls": "-", "marker": "None"}
+    style: dict[str, Any] = {"color": method_colour(name, spare), "ls": "-", "marker": "None"}
     if method is None:
-        return look | {"marker": MARKERS_OF_SETTINGS[-1 - spare % 6]}
+        return style | {"marker": MARKERS_OF_SETTINGS[-1 - spare % 6]}
     if method.base.name == "true":
-        look |= {"ls": "--"}
+        style |= {"ls": "--"}
     elif method.obs_only:
-        look |= {"ls": "-."}
+        style |= {"ls": "-."}
     marker = MARKERS.get(method.base.name, "None" if method.base.name == "true" else "*")
-    return look | {"marker": marker, "fillstyle": FILLS[method.conditioned, method.bonus]}
+    return style | {"marker": marker, "fillstyle": FILLS[method.conditioned, method.bonus]}
 
 
 def _setting_style(number: int) -> dict[str, Any]:
-    """The dash and marker of variation ``number`` (from 1) of a method, in place of the method's own."""
+    """The dash and marker of a method's experiment ``number`` (from 1) with changed settings."""
     marker = MARKERS_OF_SETTINGS[number % len(MARKERS_OF_SETTINGS)]
     return {"ls": DASHES[number % len(DASHES)], "marker": marker, "fillstyle": "full"}

@@ -2,32 +2,36 @@
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
-from ribs.archives import GridArchive
 
 from qdil.config import Config
-from qdil.plotting.archives import heatmap
+from qdil.names import title
+from qdil.plotting.archives import one_archive
 from qdil.plotting.style import to_png
-from qdil.ppga import Search
+
+if TYPE_CHECKING:  # both are slow to import, and one brings JAX
+    from ribs.archives import GridArchive
+
+    from qdil.ppga import Search
 
 
 class LiveArchive:
-    """Watch an archive fill: give it to ``run.train`` as ``report``, in a notebook.
+    """A heatmap in a notebook that is redrawn while an archive fills: pass it to ``train`` as ``report``.
 
-    One picture, redrawn in place at most every ``seconds`` and once at the end, with the progress as its title. It is
-    a plain PNG, so an executed copy keeps the last one and nothing else. Nothing shows if no iteration is run.
+    It is redrawn in place at most every ``seconds`` and once at the end, with the progress as its title. The picture
+    is a plain PNG, so an executed notebook keeps the last one and nothing else. Without an iteration nothing is shown.
     """
 
     def __init__(self, config: Config, seconds: float = 5.0) -> None:
         self.config, self.seconds = config, seconds
         self.begin, self.drawn = time.monotonic(), float("-inf")
-        self.first: tuple[int, float] | None = None  # the first iteration seen, and when: before it, all compiles
+        self.first: tuple[int, float] | None = None  # the first iteration and its time; programs compile before it
         self.handle: Any = None  # of the picture, once there is one
 
-    def __call__(self, search: Search, row: Mapping[str, float]) -> None:
-        """Show one iteration, if the last picture is old enough or this is the last iteration."""
+    def __call__(self, search: "Search", row: Mapping[str, float]) -> None:
+        """Redraw if the last picture is old enough or this is the last iteration. ``row``: metrics of the iteration."""
         last = row["iteration"] == self.config.ppga.iterations
         self.first = self.first or (int(row["iteration"]), time.monotonic())
         if not last and time.monotonic() - self.drawn < self.seconds:
@@ -44,23 +48,19 @@ class LiveArchive:
         self.drawn = time.monotonic()
 
     def _progress(self, row: Mapping[str, float], last: bool) -> str:
-        done, total, now = int(row["iteration"]), self.config.ppga.iterations, time.monotonic()
-        first, since = self.first or (done, now)
+        done, total, time_now = int(row["iteration"]), self.config.ppga.iterations, time.monotonic()
+        first, since = self.first or (done, time_now)
         if last:
-            clock = f", finished in {now - self.begin:.0f} s"
+            clock = f", finished in {time_now - self.begin:.0f} s"
         else:
-            clock = f", about {(now - since) / (done - first) * (total - done):.0f} s left" if done > first else ""
+            clock = f", about {(time_now - since) / (done - first) * (total - done):.0f} s left" if done > first else ""
         return (
-            f"{self.config.method} on {self.config.env}: iteration {done} of {total}{clock}\n"
+            f"{title(self.config.method)} on {self.config.env}: iteration {done} of {total}{clock}\n"
             f"coverage {row['coverage']:.0%}, QD-score {row['qd_score']:,.0f}, best return {row['best']:,.0f}"
         )
 
 
-def live_figure(archive: GridArchive, title: str, robot: str | None = None) -> Figure:
-    """The result archive of a search in progress, drawn from pyribs' own arrays."""
-    content: dict[str, Any] = {name: archive.data(name) for name in ("index", "measures", "true_return")}
-    figure = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
-    ax = figure.subplots()
-    heatmap({**content, "cells": archive.dims}, ax, robot=robot)
-    figure.suptitle(title, fontsize=10)
-    return figure
+def live_figure(archive: "GridArchive", heading: str, robot: str | None = None) -> Figure:
+    """The result archive of a search in progress, read from pyribs' own arrays."""
+    content: dict[str, Any] = {name: archive.data(name) for name in ("index", "true_return")}
+    return one_archive({**content, "cells": archive.dims}, heading, robot=robot)[0]

@@ -1,6 +1,6 @@
-"""The idea in pictures: what a behaviour space is, the two problems of imitating diversity, the framework (Figs. 1-3).
+"""The idea: a behaviour space, the two problems of imitating diversity, and the framework (Figs. 1-3).
 
-Drawn from ``qdil.lab.background.concepts`` and from words; no run is behind these pictures.
+These figures show the small model of ``concepts`` and a diagram. They do not show results of runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,19 +12,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from qdil.lab.background.concepts import Explored, discriminator_reward, fitness
-from qdil.plotting.style import BLUE, GREEN, RED
+from qdil.plotting.colours import BLUE, GREEN, ORANGE, RED
+from qdil.plotting.demonstrations import spans
+from qdil.plotting.style import styled
 
 MEASURE = "measure m"
-STEPS = 12  # steps of a gait that a cell of ``behaviours`` shows
-CYCLE = 6  # steps after which a foot there does the same again
+STEPS = 12  # steps of a gait in a cell of ``behaviours``
+CYCLE = 6  # steps of one cycle of that gait
 
 
+@styled
 def behaviours(cells: int = 5) -> Figure:
-    """The behaviour space of two feet as a square of gaits: in each cell, when either foot is down (as in Fig. 2).
+    """The behaviour space of two feet as a square of gaits: each cell shows when each foot is down (as in Fig. 2).
 
-    Every foot is down for its share of each cycle, foot 2 half a cycle after foot 1; cells show their middles.
+    A foot is down for its cell's share of every cycle, and foot 2 follows foot 1 by half a cycle.
     """
-    figure = Figure(figsize=(5.4, 5.4), layout="constrained")
+    figure = Figure(figsize=(5.4, 5.4))
     ax = figure.subplots()
     for i in range(cells):
         for j in range(cells):
@@ -33,30 +36,30 @@ def behaviours(cells: int = 5) -> Figure:
     ax.set(xlim=(0, 1), ylim=(0, 1), aspect="equal", xticks=edges, yticks=edges)
     ax.set(xlabel="share of time foot 1 touches the ground", ylabel="share of time foot 2 touches the ground")
     ax.grid(color="0.6", lw=0.8)
+    ax.spines[:].set_visible(True)
     ax.set_title("in each cell, over time: foot 1 (orange) and foot 2 (blue) down", fontsize=9)
     return figure
 
 
 def _gait(ax: Axes, cell: tuple[int, int], cells: int) -> None:
+    """A cell's gait over ``STEPS`` steps: a bar per foot, coloured while the foot is down."""
     time = (np.arange(10 * STEPS) + 0.5) / 10
     for foot, (colour, height) in enumerate(((RED, 0.3), (BLUE, 0.62))):
         share = (cell[foot] + 0.5) / cells
         down = ((time + foot * CYCLE / 2) % CYCLE) < share * CYCLE
-        starts = np.flatnonzero(np.diff(np.concatenate([[0], down, [0]]).astype(int)) == 1)
-        stops = np.flatnonzero(np.diff(np.concatenate([[0], down, [0]]).astype(int)) == -1)
-        scale = 0.84 / (cells * len(time))
         left, bottom = (cell[0] + 0.08) / cells, (cell[1] + height - 0.09) / cells
-        spans = [(left + a * scale, (b - a) * scale) for a, b in zip(starts, stops, strict=True)]
+        stretches = [(left + begin, length) for begin, length in spans(down, 0.84 / (cells * len(time)))]
         ax.add_patch(Rectangle((left, bottom), 0.84 / cells, 0.18 / cells, color="0.92", lw=0))
-        ax.broken_barh(spans, (bottom, 0.18 / cells), color=colour, lw=0)
+        ax.broken_barh(stretches, (bottom, 0.18 / cells), color=colour, lw=0)
 
 
+@styled
 def exploration(searches: Mapping[str, Sequence[Explored]]) -> Figure:
-    """Where searches spend their episodes, by name and averaged over seeds, and how fast they fill cells (Fig. 1a).
+    """Episodes per cell of each search, averaged over its seeds, and the share of visited cells (Fig. 1a).
 
     Bars are episodes per cell, the line is f(m). All searches have the same cells and iterations.
     """
-    figure = Figure(figsize=(4.4 * (len(searches) + 1), 3.2), layout="constrained")
+    figure = Figure(figsize=(4.4 * (len(searches) + 1), 3.2))
     axes = figure.subplots(1, len(searches) + 1)
     means = {name: np.mean([s.visits for s in seeds], axis=0) for name, seeds in searches.items()}
     top = 1.15 * max(mean.max() for mean in means.values())
@@ -70,9 +73,9 @@ def exploration(searches: Mapping[str, Sequence[Explored]]) -> Figure:
     for name, seeds in searches.items():
         filled = np.array([100 * s.filled / len(s.visits) for s in seeds])
         middle, spread = filled.mean(axis=0), filled.std(axis=0)
-        when = np.arange(1, len(middle) + 1)
-        axes[-1].plot(when, middle, color=colours[name], label=name)
-        axes[-1].fill_between(when, middle - spread, middle + spread, color=colours[name], alpha=0.18, lw=0)
+        iterations = np.arange(1, len(middle) + 1)
+        axes[-1].plot(iterations, middle, color=colours[name], label=name)
+        axes[-1].fill_between(iterations, middle - spread, middle + spread, color=colours[name], alpha=0.18, lw=0)
     axes[-1].set(title="cells found", xlabel="iteration", ylabel="cells visited so far (%)", ylim=(0, 105))
     axes[-1].legend(frameon=False, loc="lower right")
     return figure
@@ -83,37 +86,43 @@ def _beside(ax: Axes, measure: np.ndarray) -> None:
     other = ax.twinx()
     other.plot(measure, fitness(measure), color="black", lw=1.2)
     other.set(ylabel="fitness f(m) (line)", ylim=(0, 0.9))
+    other.grid(False)
+    other.spines.right.set_visible(True)
 
 
 class Demonstrators(NamedTuple):
-    """Who was demonstrated, in ``concepts.discriminator_reward``'s terms."""
+    """The demonstrations of one panel, arguments of ``concepts.discriminator_reward``."""
 
     experts: Sequence[float]  # measures of the demonstrations
     details: Sequence[float]  # the detail of each
     sees_details: bool  # whether the discriminator sees it
 
 
+@styled
 def localised_reward(panels: Mapping[str, Demonstrators], width: float = 0.06) -> Figure:
-    """What a discriminator pays each behaviour, by who was demonstrated (orange) and what it sees (Fig. 1b)."""
+    """The reward of each behaviour under the best discriminator (Fig. 1b); orange lines are demonstrations.
+
+    ``width`` is the width of a demonstration's bump, in units of the measure.
+    """
     measure = np.linspace(0, 1, 300)
     rewards = {
         name: discriminator_reward(measure, np.array(d.experts), np.array(d.details), width, d.sees_details)
         for name, d in panels.items()
     }
-    figure = Figure(figsize=(4.0 * len(panels), 3.0), layout="constrained")
+    figure = Figure(figsize=(4.0 * len(panels), 3.0))
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for ax, (name, reward) in zip(axes, rewards.items(), strict=True):
         ax.fill_between(measure, reward, color=BLUE, alpha=0.25, lw=0)
         ax.plot(measure, reward, color=BLUE)
         for expert in panels[name].experts:
-            ax.axvline(expert, color="#e69f00", lw=3, alpha=0.8, zorder=0)
+            ax.axvline(expert, color=ORANGE, lw=3, alpha=0.8, zorder=0)
         ax.set(title=name, xlabel=MEASURE, xlim=(0, 1), ylim=(0, 1.1 * max(r.max() for r in rewards.values())))
     axes[0].set_ylabel("mean reward −log(1−D) per step")
     return figure
 
 
 WARM, BONUS, COOL, FRESH = "#fbe3c6", "#f7cfc0", "#d6e6f4", "#d5efe3"
-# Of the framework's picture, in shares of its width and height: left edge, bottom, width, height, colour, text.
+# Boxes of ``framework``: left edge, bottom, width and height as shares of the figure; colour and text.
 BOXES = {
     "demos": (0.02, 0.72, 0.19, 0.20, WARM, "demonstrations\n$(s_t, a_t, s_{t+1}, \\delta(s_t))$\nof a few elites"),
     "reward": (0.28, 0.72, 0.22, 0.20, WARM, "reward model $\\mathcal{R}$\nsees $s$, $a$ and $\\delta(s)$ (eq. 3)"),
@@ -131,7 +140,7 @@ BOXES = {
     "xnes": (0.02, 0.07, 0.25, 0.17, COOL, "xNES\n$c \\sim \\mathcal{N}(\\mu, \\Sigma)$"),
     "archive": (0.79, 0.07, 0.19, 0.50, FRESH, "archive $\\mathcal{A}$\nthe best policy\nof every cell"),
 }
-# From a box's side to another's, the words beside the arrow and where their middle is.
+# Arrows of ``framework``: from a side of a box to a side of another, the text beside it, and the text's middle.
 ARROWS = (
     ("demos", "E", "reward", "W", "learns", (0.245, 0.85)),
     ("policy", "N", "reward", "S", "episodes: $s, a, \\delta$", (0.165, 0.645)),
@@ -146,9 +155,10 @@ ARROWS = (
 )
 
 
+@styled
 def framework() -> Figure:
-    """MConbo-IRL as a diagram, in the spirit of Fig. 3: warm colours are what it adds to PPGA."""
-    figure = Figure(figsize=(11, 5.0), layout="constrained")
+    """A diagram of MConbo-IRL after Fig. 3; boxes that MConbo-IRL adds to PPGA have warm colours."""
+    figure = Figure(figsize=(11, 5.0))
     ax = figure.subplots()
     ax.set(xlim=(0, 1), ylim=(-0.02, 1))
     ax.axis("off")
@@ -156,15 +166,15 @@ def framework() -> Figure:
         style = "round,pad=0,rounding_size=0.015"
         ax.add_patch(FancyBboxPatch((left, bottom), width, height, boxstyle=style, fc=colour, ec="0.35"))
         ax.text(left + width / 2, bottom + height / 2, text, ha="center", va="center", fontsize=10.5)
-    for begin, out, end, into, words, where in ARROWS:
+    for begin, out, end, into, text, middle in ARROWS:
         _arrow(ax, _side(begin, out), _side(end, into))
-        ax.text(*where, words, ha="center", va="center", fontsize=9, color="0.25")
+        ax.text(*middle, text, ha="center", va="center", fontsize=9, color="0.25")
     _ranking(ax)
     return figure
 
 
 def _side(box: str, side: str) -> tuple[float, float]:
-    """The middle of a box's side, N, E, S or W."""
+    """The middle of a box's side, which is N, E, S or W."""
     left, bottom, width, height = BOXES[box][:4]
     x = {"W": left, "E": left + width}.get(side, left + width / 2)
     y = {"S": bottom, "N": bottom + height}.get(side, bottom + height / 2)
@@ -179,7 +189,7 @@ def _arrow(ax: Axes, begin: tuple[float, float], end: tuple[float, float]) -> No
 
 
 def _ranking(ax: Axes) -> None:
-    """The way back from the archive to xNES, around the candidates."""
+    """The arrow from the archive back to xNES, below the candidates."""
     (x1, y1), (x2, y2) = _side("archive", "S"), _side("xnes", "S")
     ax.plot([x1, x1, x2], [y1, 0.0, 0.0], color="0.25", lw=1.3)
     _arrow(ax, (x2, 0.0), (x2, y2))

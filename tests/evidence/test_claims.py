@@ -291,7 +291,7 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert not (tmp_path / "claims.md").exists()
     assert cli.main(["claims", "--results", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "C1 walker2d: QD-score: mconbo-gail above gail: reproduced" in said
+    assert "C1 walker2d: QD-score: MConbo-GAIL above GAIL: reproduced" in said
     assert f"Wrote {tmp_path / 'claims.md'}." in said and (tmp_path / "claims.md").is_file()
 
 

@@ -84,7 +84,7 @@ def test_the_copy_paid_for_an_objective_is_the_filled_one():
     means = np.arange(12.0).reshape(4, 3)
     columns = pd.MultiIndex.from_tuples([(w, k) for w in ("return", "a down", "b down") for k in ("mean", "error")])
     table = pd.DataFrame(np.repeat(means, 2, axis=1), index=["mu", "f", "1", "2"], columns=columns)
-    for i, ax in enumerate(pictures.streams(table).axes):
+    for i, ax in enumerate(pictures.objectives(table).axes):
         points = [bars.lines[0] for bars in ax.containers]
         assert [float(p.get_ydata()[0]) for p in points] == list(means[:, i])
         assert [p.get_markerfacecolor() != "white" for p in points].index(True) == i + 1

@@ -413,7 +413,7 @@ def test_the_other_pictures_can_be_drawn():
     who = trials.bayes_by_sampling(1, 60, 2, 1000, Settings(episodes=32, learning_rate=0.3))
     learned = trials.learning(1, 60, 3, Settings(p=1.0, q=0.0, learning_rate=0.1), falls=0.5)
     lengths = pictures.lengths({"zero": np.array([3.0, 5.0, 9.0]), "mbo-zero": np.array([9.0, 10.0])}, limit=10)
-    assert [label.get_text() for label in lengths.axes[0].get_yticklabels()] == ["zero", "mbo-zero"]
+    assert [label.get_text() for label in lengths.axes[0].get_yticklabels()] == ["Zero reward", "Mbo-Zero reward"]
     drawn = pictures.learning({"p = 1": learned})
     np.testing.assert_allclose(drawn.axes[1].lines[0].get_ydata(), learned.length.mean(axis=1))
     for figure in (pictures.bayes(who), lengths, drawn):

@@ -18,7 +18,7 @@ def test_boxes_show_the_middle_half_of_each_kind():
     rewards = {m: {"a": rng.normal(size=(20, 3)), "b": rng.normal(5, 1, (7, 1))} for m in ("gail", "vail")}
     figure = comparisons.rewards_by_kind(rewards)
     for ax, (model, kinds) in zip(figure.axes, rewards.items(), strict=True):
-        assert ax.get_title() == model
+        assert ax.get_title() == model.upper()
         for box, values in zip(ax.patches, kinds.values(), strict=True):
             drawn = box.get_path().vertices[:, 0]
             np.testing.assert_allclose([drawn.min(), drawn.max()], np.percentile(values, [25, 75]))
@@ -33,7 +33,7 @@ def test_curves_are_the_tables_columns_and_share_a_legend():
     figure = comparisons.curves(tables, "x", "y")
     first, second = figure.axes
     assert [list(line.get_ydata()) for line in first.lines] == [[1, 2], [3, 1]]
-    assert list(second.lines[0].get_xdata()) == [7] and texts(figure.legends[0]) == ["gail", "mine"]
+    assert list(second.lines[0].get_xdata()) == [7] and texts(figure.legends[0]) == ["GAIL", "mine"]
     assert to_hex(first.lines[0].get_color()) == METHOD_COLOURS["gail"]
     assert first.lines[1].get_color() == second.lines[0].get_color() != first.lines[0].get_color()
     assert (first.get_ylabel(), second.get_ylabel(), second.get_xlabel()) == ("y", "", "x")
@@ -82,7 +82,7 @@ def test_lines_over_demonstrations_have_points_in_order_and_coverage_in_percent(
     rows = [("gail", 4, "coverage", 0.5, 0.1), ("gail", 1, "coverage", 0.2, np.nan), ("gail", 1, "best", 7.0, np.nan)]
     table = pd.DataFrame(rows, columns=["method", "n_demos", "metric", "value", "spread"])
     figure = comparisons.by_demonstrations({"ours": table, "theirs": table}, ["coverage", "best"])
-    assert len(figure.axes) == 4 and texts(figure.legends[0]) == ["gail"]
+    assert len(figure.axes) == 4 and texts(figure.legends[0]) == ["GAIL"]
     coverage = figure.axes[0].lines[0]
     assert list(coverage.get_xdata()) == [1, 4] and list(coverage.get_ydata()) == [20, 50]
     bars = figure.axes[0].collections[0].get_segments()

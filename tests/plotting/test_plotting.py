@@ -9,10 +9,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from qdil import plotting
-from qdil.runs.studies import STUDIES
+from qdil.methods import method_names
 from qdil.plotting import style
 from qdil.plotting.curves import over_seeds
-from qdil.methods import method_names
+from qdil.runs.studies import STUDIES
 
 # Machado, Oliveira and Fernandes (2009), severity 1: what is seen of linear RGB without one kind of cone.
 VISION = {
@@ -81,13 +81,13 @@ def test_names_that_are_no_methods_get_looks_of_their_own():
 @pytest.mark.parametrize(
     "experiment, text",
     [
-        ("mconbo-gail", "mconbo-gail"),
-        ("mconbo-gail+bonus_p=0.0+bonus_q=1.0", "mconbo-gail, p = 0, q = 1"),
-        ("gail+demo_episodes=1", "gail, 1 demonstration"),
-        ("gail+demo_episodes=10", "gail, 10 demonstrations"),
-        ("mconbo-gail+protocol=released", "mconbo-gail, all released choices"),
-        ("mconbo-vail+vail_beta=fixed", "mconbo-vail, vail beta = fixed"),
-        ("gail+reward_hidden=8,8", "gail, reward hidden = 8,8"),
+        ("mconbo-gail", "MConbo-GAIL"),
+        ("mconbo-gail+bonus_p=0.0+bonus_q=1.0", "MConbo-GAIL, p = 0, q = 1"),
+        ("gail+demo_episodes=1", "GAIL, 1 demonstration"),
+        ("gail+demo_episodes=10", "GAIL, 10 demonstrations"),
+        ("mconbo-gail+protocol=released", "MConbo-GAIL, all released choices"),
+        ("mconbo-vail+vail_beta=fixed", "MConbo-VAIL, vail beta = fixed"),
+        ("gail+reward_hidden=8,8", "GAIL, reward hidden = 8,8"),
     ],
 )
 def test_legends_call_experiments_by_what_differs(experiment, text):
@@ -133,7 +133,7 @@ def test_legends_say_over_how_many_seeds_and_leave_the_curves_alone():
     assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 and box.y0 >= 0
     assert all(not ax.get_tightbbox().overlaps(box) for ax in figure.axes)
     uneven = plotting.learning_curves({"gail": [table(1.0)], "true": [table(1.0), table(2.0)]})
-    assert "gail 1, true 2" in uneven.legends[0].get_title().get_text()
+    assert "GAIL 1, Expert 2" in uneven.legends[0].get_title().get_text()
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_bars_show_means_deviations_and_every_seed():
     assert [list(dot) for dot in dots] == [[700.0], [100.0, 300.0]]
     [whisker] = [c for c in score.collections if len(c.get_segments()) == 1]
     assert np.ptp(whisker.get_segments()[0][:, 0]) == pytest.approx(2 * 100 * np.sqrt(2))
-    assert [tick.get_text() for tick in score.get_yticklabels()] == ["true", "gail"]
+    assert [tick.get_text() for tick in score.get_yticklabels()] == ["Expert", "GAIL"]
 
 
 def test_grids_put_every_experiment_where_its_settings_are():
