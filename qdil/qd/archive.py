@@ -131,7 +131,7 @@ def refill(grid: GridArchive, rows: dict[str, np.ndarray]) -> None:
 def metrics(elites: dict[str, np.ndarray], cells: int) -> dict[str, float]:
     """The paper's four metrics (section 5.3) from true returns, and the QD-score in the learned fitness.
 
-    QD-score is the plain sum over filled cells, no offset; coverage is a share of ``cells``; an empty archive
+    QD-score is the plain sum over filled cells (eq. 1), no offset; coverage is a share of ``cells``; an empty archive
     has QD-score and coverage 0, and best and average not-a-number.
     """
     returns = elites["true_return"].astype(np.float64)
