@@ -47,7 +47,7 @@ frontend:  ## bundle the explorer's script and three.js into qdil/explorer/stati
 
 lock:  ## resolve the pinned, hashed environment anew (needs uv)
 	uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
-		--no-header --extra dev --quiet --output-file environment.lock
+		--no-header --extra all --quiet --output-file environment.lock
 
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache
