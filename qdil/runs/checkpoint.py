@@ -4,11 +4,9 @@ A checkpoint is an ``.npz`` whose name carries its own SHA-256, so that a trunca
 one before it, which is kept until two newer ones are there, is used instead. Nothing is pickled.
 """
 
-import fcntl
 import hashlib
 import io
 import json
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +15,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from filelock import BaseFileLock, FileLock, Timeout
 
 from qdil.devices import hosts
 from qdil.devices.mesh import laid_out
@@ -131,34 +130,35 @@ def remove(run_folder: Path) -> None:
 
 @contextmanager
 def locked(run_folder: Path) -> Iterator[None]:
-    """Hold the folder for this process, and clear what killed ones left half written.
+    """Hold the folder for this process, and clear what killed processes left half written.
 
-    Raises ConfigError if another process holds it.
+    The operating system frees the lock of a process that ends, however it ends. Raises ConfigError if another process
+    holds the folder.
     """
-    path = run_folder / FOLDER / "lock"
+    lock = _acquire(run_folder)
+    try:
+        sweep(run_folder)
+        sweep(run_folder / FOLDER)
+        yield
+    finally:
+        lock.release()
+
+
+def _acquire(run_folder: Path) -> BaseFileLock:
+    """The folder's lock, acquired without waiting for it. Raises ConfigError if another process holds it."""
+    lock = FileLock(run_folder / FOLDER / "lock")
     while True:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(path, "a") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+        try:
+            lock.acquire(blocking=False)
+            return lock
+        except FileNotFoundError:
+            continue  # the previous holder finished and removed the folder: ``acquire`` makes it again
+        except Timeout:
+            # Without a file, nobody holds it: the previous holder removed it between our opening and locking it.
+            if Path(lock.lock_file).exists():
                 raise ConfigError(
                     f"another process is training in {run_folder}; wait for it or choose another --out."
                 ) from None
-            if not _is_still(path, file.fileno()):  # who held it has just finished, and the lock is gone with the rest
-                continue
-            sweep(run_folder)
-            sweep(run_folder / FOLDER)
-            yield
-            return
-
-
-def _is_still(path: Path, descriptor: int) -> bool:
-    """Whether an open file is the one that bears this name now."""
-    try:
-        return os.path.samestat(os.stat(path), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
 
 
 def _newest_first(run_folder: Path) -> list[Path]:

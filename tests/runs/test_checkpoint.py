@@ -1,9 +1,11 @@
 """Runs that are interrupted, damaged, or started twice: nothing is lost and nothing is different in the end."""
 
-import fcntl
 import json
 import os
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import jax
@@ -185,11 +187,26 @@ def test_another_configuration_is_refused(interrupted):
         train(make_config("walker2d", "true", "smoke", iterations=5), interrupted)
 
 
-def test_a_folder_is_one_processes_at_a_time(interrupted, uninterrupted):
-    with open(interrupted / "checkpoint" / "lock", "a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        with pytest.raises(ConfigError, match="another process"):
-            train(CONFIG, interrupted)
+HOLD = """
+import sys, time
+from filelock import FileLock
+with FileLock(sys.argv[1]):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_folder_is_one_processes_at_a_time_until_that_one_is_killed(interrupted, uninterrupted):
+    command = [sys.executable, "-c", HOLD, str(interrupted / "checkpoint" / "lock")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        try:
+            assert other.stdout.readline() == "held\n"
+            begin = time.monotonic()
+            with pytest.raises(ConfigError, match=f"another process is training in {interrupted}; wait for it or"):
+                train(CONFIG, interrupted)
+            assert time.monotonic() - begin < 5
+        finally:
+            other.kill()
     train(CONFIG, interrupted)
     assert same_run(interrupted, uninterrupted)
 
@@ -217,19 +234,26 @@ def test_a_run_that_finishes_just_before_the_lock_is_taken_is_left_alone(tmp_pat
     assert {path.name for path in folder.iterdir()} == {path.name for path in uninterrupted.iterdir()}
 
 
-def test_a_lock_that_was_removed_with_its_folder_locks_nothing(tmp_path, monkeypatch):
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not remove a file that is open")
+@pytest.mark.parametrize("moment", ["before it is opened", "before it is locked"])
+def test_a_lock_that_was_removed_with_its_folder_locks_nothing(tmp_path, monkeypatch, moment):
     """Whoever waited at the door of a run that has just finished must not share the folder with who comes next."""
-    flock, turns = fcntl.flock, []
+    import fcntl
 
-    def flock_late(file, operation):
-        if not turns:
+    module, name = (os, "open") if moment == "before it is opened" else (fcntl, "flock")
+    real, calls = getattr(module, name), []
+
+    def late(what, *args, **kwargs):
+        # The lock's path, or the descriptor of the open lock.
+        is_lock = module is fcntl or os.fspath(what) == str(tmp_path / "checkpoint" / "lock")
+        if is_lock and not calls:
             checkpoint.remove(tmp_path)
-        turns.append(operation)
-        flock(file, operation)
+        calls.append(what) if is_lock else None
+        return real(what, *args, **kwargs)
 
-    monkeypatch.setattr(fcntl, "flock", flock_late)
+    monkeypatch.setattr(module, name, late)
     with checkpoint.locked(tmp_path):
-        assert len(turns) == 2
+        assert len(calls) >= 2
         with pytest.raises(ConfigError, match="another process"), checkpoint.locked(tmp_path):
             pass
 
