@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from qdil import plotting
 from qdil.config import ConfigError, make_config
-from qdil.evidence import tables
+from qdil.evidence import report, tables
 from qdil.evidence.tables import Runs
 from qdil.files import replace_file
 from qdil.methods import method_names
@@ -40,10 +40,8 @@ def summary_table(runs: Runs) -> str:
     shown = tables.summary(runs)
     if all(len(folders) == 1 for folders in runs.values()):
         shown = shown.drop(columns="seeds")
-    columns = ["method", *shown.columns]
-    lines = ["| " + " | ".join(columns) + " |", "| " + " | ".join(["---"] + ["---:"] * len(shown.columns)) + " |"]
-    lines += ["| " + " | ".join([f"`{row[0]}`", *row[1:]]) + " |" for row in shown.itertuples(name=None)]
-    return "\n".join(lines) + "\n"
+    table = shown.rename(index=lambda name: f"`{name}`").rename_axis("method").reset_index()
+    return report.markdown_table(table, right=shown.columns) + "\n"
 
 
 def draw(runs: Runs, env: str) -> dict[str, Figure]:

@@ -139,15 +139,11 @@ def _signed(reading: str, value: float) -> str:
     return ("+" if value >= 0 else "−") + _number(reading, abs(value))
 
 
-def markdown_table(frame: pd.DataFrame) -> str:
-    """A table of texts in Markdown, its columns padded, so that it also reads as plain text."""
-    cells = [list(map(str, frame.columns)), *(list(map(str, row)) for row in frame.itertuples(index=False))]
-    cells = [[cell.replace("|", "\\|") for cell in row] for row in cells]
-    widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(frame.columns))]
-    lines = [
-        "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in cells
-    ]
-    return "\n".join([lines[0], "| " + " | ".join("-" * width for width in widths) + " |", *lines[1:]])
+def markdown_table(frame: pd.DataFrame, right: Iterable[str] = ()) -> str:
+    """A table of texts in Markdown, without the frame's index; the columns named in ``right`` are aligned right."""
+    texts = frame.astype(str).map(lambda text: text.replace("|", "\\|"))
+    sides = ["right" if name in set(right) else "left" for name in frame.columns]
+    return texts.to_markdown(index=False, disable_numparse=True, colalign=sides)
 
 
 def plain(verdicts: Sequence[Verdict]) -> str:

@@ -5,7 +5,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+import pandas as pd
+
 from qdil.config import ConfigError
+from qdil.evidence.report import markdown_table
 from qdil.runs.studies import experiments_of
 
 ROOT = Path(__file__).parent.parent.parent
@@ -76,13 +79,20 @@ def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/", su
     """
     entries = read() if entries is None else tuple(entries)
     budgets = [budget for budget in ("smoke", "laptop", "full") if any(budget in e.minutes for e in entries)]
-    head = ["", "notebook", "what it shows", "of the paper", *(f"minutes, {budget}" for budget in budgets)]
-    lines = [table_row(head), table_row(["---:", "---", "---", "---", *["---:"] * len(budgets)])]
-    for entry in entries:
-        minutes = [f"{entry.minutes[budget]:.1f}" if budget in entry.minutes else "" for budget in budgets]
-        link = f"[{entry.title}]({folder}{entry.name}{suffix})"
-        lines.append(table_row([entry.name[:2], link, entry.about, claims_text(entry.claims), *minutes]))
-    return "\n".join(lines)
+    rows = [
+        {
+            "": entry.name[:2],
+            "notebook": f"[{entry.title}]({folder}{entry.name}{suffix})",
+            "what it shows": entry.about,
+            "of the paper": claims_text(entry.claims),
+        }
+        | {
+            f"minutes, {budget}": f"{entry.minutes[budget]:.1f}" if budget in entry.minutes else ""
+            for budget in budgets
+        }
+        for entry in entries
+    ]
+    return markdown_table(pd.DataFrame(rows), right=["", *(f"minutes, {budget}" for budget in budgets)])
 
 
 def claims_text(claims: Iterable[str]) -> str:
@@ -93,8 +103,3 @@ def claims_text(claims: Iterable[str]) -> str:
         numbers.setdefault(kind, []).append(number)
     plural = {"Fig.": "Figs.", "Table": "Tables", "Algorithm": "Algorithms"}
     return ", ".join(f"{plural[kind] if len(of) > 1 else kind} {', '.join(of)}" for kind, of in numbers.items())
-
-
-def table_row(cells: Iterable[str]) -> str:
-    """A line of a Markdown table."""
-    return "| " + " | ".join(cells) + " |"

@@ -1,28 +1,27 @@
 """The tables that are made, in the README and the page on performance: nothing in them is typed.
 
-Of notebooks from their index, of verdicts and runs from the pages about them, of speeds from what ``qdil bench`` wrote.
+The notebooks come from their index, verdicts from the kept runs, runs from the page that ``qdil figures`` wrote, and
+speeds from what ``qdil bench`` wrote.
 """
 
 import json
-import re
+import math
 from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
+
+from qdil.evidence import claims, report
 from qdil.series import index
 
 RESULTS = index.ROOT / "results"
 EMPTY = ("", "no runs", "no runs †")
 
 
-def verdicts(page: Path = RESULTS / "claims.md") -> str:
-    """The table of verdicts of ``qdil claims``' page, without the robots that there are no runs of."""
-    section = page.read_text().split("## Verdicts")[1].split("\n## ")[0]
-    lines = [line.strip("|") for line in section.splitlines() if line.startswith("|")]
-    rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)] for line in lines]
-    head, _, *body = rows
-    told = [i for i in range(len(head)) if any(row[i] not in EMPTY for row in body)]
-    rows = [head, ["---"] * len(head), *body]
-    return "\n".join(index.table_row([row[i] for i in told]) for row in rows)
+def verdicts(root: Path = RESULTS) -> str:
+    """The verdicts of the laptop's runs as ``claims.md`` shows them, without the robots that have no run."""
+    shown = report.overview(claims.judge(root, "laptop")).reset_index()
+    return report.markdown_table(shown.loc[:, [name for name in shown if not set(shown[name]) <= set(EMPTY)]])
 
 
 def runs(env: str) -> str:
@@ -32,18 +31,14 @@ def runs(env: str) -> str:
 
 def speeds(folder: Path = RESULTS / "bench") -> str:
     """What ``qdil bench --json`` measured of each robot at ``laptop``: a row per figure."""
-    of = {
-        env: json.loads((folder / f"laptop-{env}.json").read_text())[env]
-        for env in ("walker2d", "halfcheetah", "humanoid")
-    }
-    names = dict.fromkeys(name for row in of.values() for name in row)
-    head = [["`laptop`", *of], ["---", *("---:" for _ in of)]]
-    rows = [[name.replace("_", " "), *(_speed(row.get(name)) for row in of.values())] for name in names]
-    return "\n".join(index.table_row(row) for row in head + rows)
+    envs = ("walker2d", "halfcheetah", "humanoid")
+    shown = pd.DataFrame({env: json.loads((folder / f"laptop-{env}.json").read_text())[env] for env in envs})
+    shown = shown.map(_speed).rename(index=lambda name: name.replace("_", " ")).rename_axis("`laptop`").reset_index()
+    return report.markdown_table(shown, right=envs)
 
 
-def _speed(value: float | None) -> str:
-    if value is None:
+def _speed(value: float) -> str:
+    if math.isnan(value):
         return ""
     return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}"
 

@@ -13,7 +13,9 @@ from types import ModuleType
 import nbformat
 import pytest
 import yaml
+from fake_runs import write_arms
 from IPython.core.inputtransformer2 import TransformerManager
+from markdown_cells import cells
 from nbformat.v4 import new_code_cell, new_notebook
 
 from qdil.cli import main
@@ -145,11 +147,10 @@ def test_the_table_has_a_row_per_notebook_and_says_what_it_claims():
         index.Entry("00_first", "First", "a start", ("main",), ("Fig. 1", "Fig. 2", "Table 3"), {"smoke": 0.25}),
         index.Entry("01_second", "Second", "an end", (), (), {}),
     ]
-    assert index.table(entries).splitlines() == [
-        "|  | notebook | what it shows | of the paper | minutes, smoke |",
-        "| ---: | --- | --- | --- | ---: |",
-        "| 00 | [First](notebooks/00_first.ipynb) | a start | Figs. 1, 2, Table 3 | 0.2 |",
-        "| 01 | [Second](notebooks/01_second.ipynb) | an end |  |  |",
+    assert cells(index.table(entries)) == [
+        ["", "notebook", "what it shows", "of the paper", "minutes, smoke"],
+        ["00", "[First](notebooks/00_first.ipynb)", "a start", "Figs. 1, 2, Table 3", "0.2"],
+        ["01", "[Second](notebooks/01_second.ipynb)", "an end", "", ""],
     ]
 
 
@@ -170,25 +171,20 @@ def test_pages_have_their_tables(page, name):
 def test_speeds_are_a_row_per_figure_with_gaps_where_a_robot_has_none(tmp_path):
     for env in ("walker2d", "halfcheetah", "humanoid"):
         (tmp_path / f"laptop-{env}.json").write_text(f'{{"{env}": {{"a_speed": 12345.6, "of_{env[0]}": 0.707}}}}')
-    assert readme.speeds(tmp_path).splitlines() == [
-        "| `laptop` | walker2d | halfcheetah | humanoid |",
-        "| --- | ---: | ---: | ---: |",
-        "| a speed | 12,346 | 12,346 | 12,346 |",
-        "| of w | 0.71 |  |  |",
-        "| of h |  | 0.71 | 0.71 |",
+    assert cells(readme.speeds(tmp_path)) == [
+        ["`laptop`", "walker2d", "halfcheetah", "humanoid"],
+        ["a speed", "12,346", "12,346", "12,346"],
+        ["of w", "0.71", "", ""],
+        ["of h", "", "0.71", "0.71"],
     ]
 
 
 def test_verdicts_leave_out_robots_without_runs(tmp_path):
-    (tmp_path / "claims.md").write_text(
-        "# Claims\n\n## Verdicts\n\n| id | claim | one | two |\n| -- | -- | -- | -- |\n"
-        "| C1 | flies | no runs | reproduced |\n| C2 | sings | no runs † | no runs |\n\n## Comparisons\n\n| id |\n"
-    )
-    assert readme.verdicts(tmp_path / "claims.md").splitlines() == [
-        "| id | claim | two |",
-        "| --- | --- | --- |",
-        "| C1 | flies | reproduced |",
-        "| C2 | sings | no runs |",
+    write_arms(tmp_path, "halfcheetah", "qd_score", {"gail": [1.0, 2.0], "mconbo-gail": [11.0, 12.0]})
+    head, *rows = cells(readme.verdicts(tmp_path))
+    assert head == ["id", "claim", "where", "halfcheetah"]
+    assert [row for row in rows if row[0] == "C1"] == [
+        ["C1", "MConbo-GAIL beats GAIL on QD-score", "Fig. 5, Table 1", "reproduced"]
     ]
 
 
