@@ -3,13 +3,16 @@
 import os
 import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qdil.explorer import shown as showing
 from qdil.explorer.film import render
 from qdil.explorer.page import RECORDINGS, Page
 from qdil.explorer.shown import Runs
-from qdil.explorer.widget import Explorer
+from qdil.extras import needs
+
+if TYPE_CHECKING:
+    from qdil.explorer.widget import Explorer
 
 __all__ = ["explore", "render"]
 
@@ -21,7 +24,7 @@ VSCODES_VARIABLE = "__vsc_ipynb_file__"  # what VS Code tells a notebook of itse
 
 def explore(
     runs: Runs, config: Mapping[str, Any] | None = None, live: bool | None = None, recordings: int = RECORDINGS
-) -> Explorer | Page:
+) -> "Explorer | Page":
     """Explore archives: click a cell of the heatmap, and that elite walks.
 
     ``runs``: a run's folder; an archive as ``run.read_archive`` gives it, with policies (then ``config``, the settings
@@ -38,6 +41,8 @@ def explore(
     chosen = [[first, showing.best_cell(read[first])]] if len(read[first].archive["index"]) else []
     state = {"run": first, "selected": chosen}
     if _is_live() if live is None else live:
+        with needs("explorer", "the explorer in a live notebook"):
+            from qdil.explorer.widget import Explorer
         return Explorer(read, state)
     return Page(read, state, recordings)
 

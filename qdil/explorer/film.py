@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any
 
-import imageio_ffmpeg
 import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -19,6 +18,7 @@ from qdil.explorer import drawing
 from qdil.explorer import shown as showing
 from qdil.explorer.rollouts import Rollout
 from qdil.explorer.shown import Runs, Shown
+from qdil.extras import needs
 from qdil.files import replace_file
 from qdil.imitation.demos import select
 from qdil.robots import shapes
@@ -118,6 +118,8 @@ def _gif(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
 
 
 def _mp4(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -> None:
+    with needs("explorer", "an .mp4 film"):
+        import imageio_ffmpeg
     draft = path.with_name(f".{path.name}.part.mp4")
     draft.parent.mkdir(parents=True, exist_ok=True)
     frames = (

@@ -5,16 +5,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
-from IPython.display import Markdown, display
 from matplotlib.figure import Figure
 
 from qdil import plotting
 from qdil.config import make_config
 from qdil.devices.start import use_all_cores
+from qdil.extras import needs
 from qdil.robots.register import robot_names
 from qdil.runs import experiments, manifest, studies
 from qdil.runs.folder import RESULTS, demos_path
 from qdil.runs.missing import train_missing
+
+with needs("notebooks", "what a notebook shows"):
+    from IPython.display import Markdown, display
 
 ROOT = Path(__file__).parent.parent.parent
 OPENED = {"budget": "smoke", "env": "walker2d"}  # by ``begin``; a notebook is a process of its own, and one page

@@ -6,12 +6,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
 from tqdm import tqdm
 
 from qdil.config import ConfigError, make_config
+from qdil.extras import needs
 from qdil.series import index
 from qdil.series.index import NOTEBOOKS, ROOT
 
@@ -42,7 +44,9 @@ def execute_all(order: Order) -> list[str]:
     Raises ConfigError before anything runs for an unknown name, robot, budget or seed, a limit that is none, and a
     notebook that does not take the parameters that it will be given.
     """
-    from qdil.series.execute import check_parameters
+    with needs("notebooks", "the execution of notebooks"):
+        version("snakemake")  # a process of its own; importing it here would take a second
+        from qdil.series.execute import check_parameters
 
     if order.at_once < 1 or not order.minutes > 0:
         raise ConfigError("-j must be at least 1, and --timeout above 0 minutes.")
