@@ -72,8 +72,8 @@ def chosen(names: Iterable[str], folder: Path = NOTEBOOKS) -> list[str]:
     return names or known
 
 
-def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/", suffix: str = ".ipynb") -> str:
-    """The series as a Markdown table with a link to each notebook, ``folder`` and ``suffix`` around its name.
+def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/") -> str:
+    """The series as a Markdown table with a link to each notebook in ``folder``.
 
     Columns of minutes appear for the budgets that any notebook was measured at.
     """
@@ -82,7 +82,7 @@ def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/", su
     rows = [
         {
             "": entry.name[:2],
-            "notebook": f"[{entry.title}]({folder}{entry.name}{suffix})",
+            "notebook": f"[{entry.title}]({folder}{entry.name}.ipynb)",
             "what it shows": entry.about,
             "of the paper": claims_text(entry.claims),
         }

@@ -1,7 +1,7 @@
 """The executed notebooks and ``docs/`` as web pages that need no network and no server; see ``make site``.
 
-Sphinx builds the pages, with the settings of ``docs/site/conf.py``. This file gathers them in one folder, laid out as the
-repository, so that links between them stay as they are.
+Sphinx builds the pages, with the settings of ``docs/site/conf.py``. This file gathers them in one folder, laid out as
+the repository, so that links between them stay as they are.
 """
 
 import argparse
@@ -65,7 +65,7 @@ def anchor(heading: str) -> str:
 
 
 def gather(budget: str, entries: Iterable[Entry], source: Path, executed: Path = EXECUTED) -> None:
-    """Write the pages of ``entries``, of ``docs/`` and the front page as Sphinx reads them, into the folder ``source``."""
+    """Write the pages of ``entries``, of ``docs/`` and the front page into ``source``, for Sphinx to read."""
     entries = list(entries)
     notebooks = {index.NOTEBOOKS / f"{entry.name}.ipynb": entry for entry in entries}
     docs = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "results" / "claims.md", ROOT / "THIRD_PARTY.md"]
@@ -114,8 +114,9 @@ class Pages:
     def _show(self, target: Path) -> None:
         """A page with the text of a file."""
         name, fence = target.relative_to(ROOT).as_posix(), "`" * 10
-        text = f"---\norphan: true\n---\n\n# `{name}`\n\n{fence}{LANGUAGES.get(target.suffix, 'text')}\n{target.read_text()}\n{fence}\n"
-        self.write(target.with_name(f"{target.name}.md"), text, linked=False)
+        head = f"---\norphan: true\n---\n\n# `{name}`\n\n"
+        code = f"{fence}{LANGUAGES.get(target.suffix, 'text')}\n{target.read_text()}\n{fence}\n"
+        self.write(target.with_name(f"{target.name}.md"), head + code, linked=False)
 
 
 def _prepare(notebook: nbformat.NotebookNode, path: Path, pages: Pages) -> None:
@@ -137,17 +138,26 @@ def _prepare(notebook: nbformat.NotebookNode, path: Path, pages: Pages) -> None:
 
 
 def _front(budget: str, entries: list[Entry], docs: Iterable[Path]) -> str:
-    """The front page: what this is, the table of notebooks, and which of them were not executed at this budget."""
+    """The front page: what this is, the notebooks, and which of them were not executed at this budget."""
     from qdil.series.page import SAYS  # imports JAX
 
     missing = [entry.title for entry in index.read() if entry not in entries]
-    return (SETTINGS / "index.md").read_text().format(
-        executed=f"They were executed at the *{budget}* budget: {SAYS[budget]}.",
-        contents=index.table(entries),
-        missing=f"Not executed at this budget, so not shown: {', '.join(missing)}." if missing else "",
-        notebooks="\n".join(f"notebooks/{entry.name}" for entry in entries),
-        docs="\n".join(path.relative_to(ROOT).with_suffix("").as_posix() for path in docs),
+    return (
+        (SETTINGS / "index.md")
+        .read_text()
+        .format(
+            executed=f"They were executed at the *{budget}* budget: {SAYS[budget]}.",
+            contents="\n".join(_line(entry) for entry in entries),
+            missing=f"Not executed at this budget, so not shown: {', '.join(missing)}." if missing else "",
+            notebooks="\n".join(f"notebooks/{entry.name}" for entry in entries),
+            docs="\n".join(path.relative_to(ROOT).with_suffix("").as_posix() for path in docs),
+        )
     )
+
+
+def _line(entry: Entry) -> str:
+    claims = f" ({index.claims_text(entry.claims)} of the paper)" if entry.claims else ""
+    return f"* [{entry.name[:2]} {entry.title}](notebooks/{entry.name}.ipynb): {entry.about}{claims}."
 
 
 def main(argv: list[str] | None = None) -> int:
