@@ -11,6 +11,7 @@ import pytest
 from qdil.errors import ConfigError
 from qdil.extras import needs
 
+pytestmark = pytest.mark.physics  # processes
 ROOT = Path(__file__).parent.parent
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 # Modules whose distributions the extras install; Pillow is none of them, for matplotlib brings it.

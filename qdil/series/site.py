@@ -68,7 +68,8 @@ def gather(budget: str, entries: Iterable[Entry], source: Path, executed: Path =
     """Write the pages of ``entries``, of ``docs/`` and the front page into ``source``, for Sphinx to read."""
     entries = list(entries)
     notebooks = {index.NOTEBOOKS / f"{entry.name}.ipynb": entry for entry in entries}
-    docs = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "results" / "claims.md", ROOT / "THIRD_PARTY.md"]
+    docs = [path for path in sorted((ROOT / "docs").rglob("*.md")) if SETTINGS not in path.parents]
+    docs += [ROOT / "results" / "claims.md", ROOT / "THIRD_PARTY.md"]
     pages = Pages(source, {*notebooks, *docs})
     for path in docs:
         pages.write(path, path.read_text())

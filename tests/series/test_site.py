@@ -20,6 +20,7 @@ from qdil.config import ConfigError
 from qdil.series import index, site
 
 pytest_plugins = ["explorer_browser"]
+pytestmark = pytest.mark.physics  # a browser
 FIRST, SECOND, THIRD = index.read()[:3]
 INNER = "<p></p><script>document.querySelector('p').textContent = 6 * 7</script>"
 FRAME = f'<iframe srcdoc="{escape(INNER)}"></iframe>'
