@@ -25,9 +25,9 @@ with needs("notebooks", "the site"):
 SITE = ROOT / "build" / "site"
 SETTINGS = ROOT / "docs" / "site"
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(<?([^)\s>#]+)(#[^)\s>]*)?>?\)")
-AS_THEY_ARE = (".png", ".pdf", ".svg", ".html", ".gif", ".mp4")  # other linked files become pages that show their text
-LARGEST = 100_000  # bytes of a file that is shown as text; the lock has more
-LANGUAGES = {".py": "python", ".md": "markdown", ".toml": "toml", ".yaml": "yaml"}
+COPIED = (".png", ".pdf", ".svg", ".html", ".gif", ".mp4")  # linked files that a browser shows
+# Linked files that get a page with their text, highlighted as what.
+SHOWN = {".py": "python", ".md": "markdown", ".toml": "toml", ".yaml": "yaml", ".csv": "text", "": "text"}
 
 
 def build(budget: str | None = None, out: Path = SITE, executed: Path = EXECUTED) -> Path:
@@ -69,7 +69,7 @@ def gather(budget: str, entries: Iterable[Entry], source: Path, executed: Path =
     entries = list(entries)
     notebooks = {index.NOTEBOOKS / f"{entry.name}.ipynb": entry for entry in entries}
     docs = [path for path in sorted((ROOT / "docs").rglob("*.md")) if SETTINGS not in path.parents]
-    docs += [ROOT / "results" / "claims.md", ROOT / "THIRD_PARTY.md"]
+    docs = [ROOT / "README.md", *docs, ROOT / "results" / "claims.md", ROOT / "THIRD_PARTY.md"]
     pages = Pages(source, {*notebooks, *docs})
     for path in docs:
         pages.write(path, path.read_text())
@@ -81,7 +81,10 @@ def gather(budget: str, entries: Iterable[Entry], source: Path, executed: Path =
 
 
 class Pages:
-    """The folder of Sphinx's sources: ``written`` there at the places that the files have in the repository."""
+    """The pages that Sphinx reads, in the folder ``source``, each at the place of its file in the repository.
+
+    ``known``: the files that are pages of their own, so that links to them need no change.
+    """
 
     def __init__(self, source: Path, known: Iterable[Path]) -> None:
         self.source, self.known = source, set(known)
@@ -102,26 +105,26 @@ class Pages:
             return f"{image}[{words}]({address}{part})"
         if not target.is_relative_to(ROOT) or not target.is_file():
             return words
-        if target.suffix in AS_THEY_ARE:
+        if target.suffix in COPIED:
             copy = self.source / target.relative_to(ROOT)
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(target, copy)
             return f"{image}[{words}]({address})"
-        if target.stat().st_size > LARGEST:
-            return words
-        self._show(target)
-        return f"[{words}]({address}.md)"
+        if target.suffix in SHOWN:
+            self._show(target)
+            return f"[{words}]({address}.md)"
+        return words
 
     def _show(self, target: Path) -> None:
         """A page with the text of a file."""
         name, fence = target.relative_to(ROOT).as_posix(), "`" * 10
         head = f"---\norphan: true\n---\n\n# `{name}`\n\n"
-        code = f"{fence}{LANGUAGES.get(target.suffix, 'text')}\n{target.read_text()}\n{fence}\n"
+        code = f"{fence}{SHOWN[target.suffix]}\n{target.read_text()}\n{fence}\n"
         self.write(target.with_name(f"{target.name}.md"), head + code, linked=False)
 
 
 def _prepare(notebook: nbformat.NotebookNode, path: Path, pages: Pages) -> None:
-    """Links, texts for pictures that are not seen, and no cell of parameters that other ones replaced."""
+    """Adapt a notebook's links, describe its pictures by their section, and hide parameters that were replaced."""
     injected = any("injected-parameters" in cell.metadata.get("tags", []) for cell in notebook.cells)
     heading = ""
     for cell in notebook.cells:
@@ -143,16 +146,13 @@ def _front(budget: str, entries: list[Entry], docs: Iterable[Path]) -> str:
     from qdil.series.page import SAYS  # imports JAX
 
     missing = [entry.title for entry in index.read() if entry not in entries]
-    return (
-        (SETTINGS / "index.md")
-        .read_text()
-        .format(
-            executed=f"They were executed at the *{budget}* budget: {SAYS[budget]}.",
-            contents="\n".join(_line(entry) for entry in entries),
-            missing=f"Not executed at this budget, so not shown: {', '.join(missing)}." if missing else "",
-            notebooks="\n".join(f"notebooks/{entry.name}" for entry in entries),
-            docs="\n".join(path.relative_to(ROOT).with_suffix("").as_posix() for path in docs),
-        )
+    template = (SETTINGS / "index.md").read_text()
+    return template.format(
+        executed=f"They were executed at the *{budget}* budget: {SAYS[budget]}.",
+        contents="\n".join(_line(entry) for entry in entries),
+        missing=f"Not executed at this budget, so not shown: {', '.join(missing)}." if missing else "",
+        notebooks="\n".join(f"notebooks/{entry.name}" for entry in entries),
+        docs="\n".join(path.relative_to(ROOT).with_suffix("").as_posix() for path in docs),
     )
 
 
