@@ -50,4 +50,4 @@ lock:  ## resolve the pinned, hashed environment anew (needs uv)
 		--no-header --extra all --quiet --output-file environment.lock
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build .pytest_cache .mypy_cache .ruff_cache

@@ -47,7 +47,7 @@ def build(budget: str | None = None, out: Path = SITE, executed: Path = EXECUTED
     gather(budget, found, source, executed)
     # Without its cache of parsed pages in the site, and with errors and warnings alone on the terminal.
     if build_main(["-q", "-c", str(SETTINGS), "-d", str(source / ".cache"), str(source), str(out)]):
-        raise ConfigError(f"Sphinx could not build the pages in {source}; what it says stands above.")
+        raise ConfigError(f"Sphinx could not build the pages in {source}; its messages are above.")
     return out / "index.html"
 
 

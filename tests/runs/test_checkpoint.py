@@ -237,7 +237,7 @@ def test_a_run_that_finishes_just_before_the_lock_is_taken_is_left_alone(tmp_pat
 @pytest.mark.skipif(os.name == "nt", reason="Windows does not remove a file that is open")
 @pytest.mark.parametrize("moment", ["before it is opened", "before it is locked"])
 def test_a_lock_that_was_removed_with_its_folder_locks_nothing(tmp_path, monkeypatch, moment):
-    """Whoever waited at the door of a run that has just finished must not share the folder with who comes next."""
+    """A process that meets the lock of a run that finishes just then must not share the folder with the next one."""
     import fcntl
 
     module, name = (os, "open") if moment == "before it is opened" else (fcntl, "flock")
