@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from qdil import plotting
 from qdil.config import ConfigError, make_config
-from qdil.evidence import report, tables
+from qdil.evidence import tables
+from qdil.evidence.markdown import markdown_table
 from qdil.evidence.tables import Runs
 from qdil.files import replace_file
 from qdil.methods import method_names
@@ -41,7 +42,7 @@ def summary_table(runs: Runs) -> str:
     if all(len(folders) == 1 for folders in runs.values()):
         shown = shown.drop(columns="seeds")
     table = shown.rename(index=lambda name: f"`{name}`").rename_axis("method").reset_index()
-    return report.markdown_table(table, right=shown.columns) + "\n"
+    return markdown_table(table, right=shown.columns) + "\n"
 
 
 def draw(runs: Runs, env: str) -> dict[str, Figure]:

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from qdil.evidence import paper, provenance, stats, tables
+from qdil.evidence.markdown import markdown_table
 from qdil.evidence.readings import NAMES
 from qdil.evidence.verdicts import KINDS, NO_RUNS, Finding, Part, Verdict
 from qdil.files import replace_file
@@ -137,13 +138,6 @@ def _difference(finding: Finding) -> str:
 
 def _signed(reading: str, value: float) -> str:
     return ("+" if value >= 0 else "−") + _number(reading, abs(value))
-
-
-def markdown_table(frame: pd.DataFrame, right: Iterable[str] = ()) -> str:
-    """A table of texts in Markdown, without the frame's index; the columns named in ``right`` are aligned right."""
-    texts = frame.astype(str).map(lambda text: text.replace("|", "\\|"))
-    sides = ["right" if name in set(right) else "left" for name in frame.columns]
-    return texts.to_markdown(index=False, disable_numparse=True, colalign=sides)
 
 
 def plain(verdicts: Sequence[Verdict]) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from qdil.config import ConfigError
-from qdil.evidence.report import markdown_table
+from qdil.evidence.markdown import markdown_table
 from qdil.runs.studies import experiments_of
 
 ROOT = Path(__file__).parent.parent.parent

@@ -12,6 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from qdil.evidence import claims, report
+from qdil.evidence.markdown import markdown_table
 from qdil.series import index
 
 RESULTS = index.ROOT / "results"
@@ -21,7 +22,7 @@ EMPTY = ("", "no runs", "no runs †")
 def verdicts(root: Path = RESULTS) -> str:
     """The verdicts of the laptop's runs as ``claims.md`` shows them, without the robots that have no run."""
     shown = report.overview(claims.judge(root, "laptop")).reset_index()
-    return report.markdown_table(shown.loc[:, [name for name in shown if not set(shown[name]) <= set(EMPTY)]])
+    return markdown_table(shown.loc[:, [name for name in shown if not set(shown[name]) <= set(EMPTY)]])
 
 
 def runs(env: str) -> str:
@@ -34,7 +35,7 @@ def speeds(folder: Path = RESULTS / "bench") -> str:
     envs = ("walker2d", "halfcheetah", "humanoid")
     shown = pd.DataFrame({env: json.loads((folder / f"laptop-{env}.json").read_text())[env] for env in envs})
     shown = shown.map(_speed).rename(index=lambda name: name.replace("_", " ")).rename_axis("`laptop`").reset_index()
-    return report.markdown_table(shown, right=envs)
+    return markdown_table(shown, right=envs)
 
 
 def _speed(value: float) -> str:
