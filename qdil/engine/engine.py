@@ -47,7 +47,7 @@ class Trained(NamedTuple):
 
 
 class Engine:
-    """What a run computes with; nothing compiles before it is called.
+    """Everything that a run computes; nothing compiles before it is called.
 
     ``occupied`` (cells, …) bool says which archive cells are filled, for the bonus. Raises ConfigError if robots or
     candidates cannot be shared out over the devices.
@@ -178,8 +178,8 @@ class Engine:
     def elites(self, elites: dict[str, np.ndarray], rows: np.ndarray) -> Policies:
         """The λ elites in ``rows`` of an archive's arrays, placed."""
         # Arrays of the host: those on a device would need programs of their own to be split.
-        arrays = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
-        return self.place(Policies(*arrays))  # type: ignore[arg-type]
+        arrays: Any = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
+        return self.place(Policies(*arrays))
 
     def all_with_normaliser(self, theta: jax.Array, stats: ObsStats) -> Policies:
         """λ policies ``theta`` (λ, P) under one normaliser, placed."""

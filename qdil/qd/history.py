@@ -1,4 +1,4 @@
-"""When each cell of the result archive took its elites: enough to replay how the archive filled."""
+"""The history of an archive: when each cell got its elites, so that its filling can be replayed."""
 
 from typing import NamedTuple
 
@@ -8,19 +8,19 @@ import numpy as np
 class History(NamedTuple):
     """One row per new elite, in order of iteration and, within it, of cell."""
 
-    iteration: np.ndarray  # (n,) int32, the QD iteration after which the elite was there, from 1
+    iteration: np.ndarray  # (n,) int32, the QD iteration that added the elite, from 1
     cell: np.ndarray  # (n,) int32, the index of its cell
     true_return: np.ndarray  # (n,) float32
-    fitness: np.ndarray  # (n,) float32, what it won its cell with
+    fitness: np.ndarray  # (n,) float32, the fitness that won its cell
 
 
 def empty() -> History:
-    """The history of an archive that nothing was added to yet."""
+    """The history of an empty archive."""
     return History(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32))
 
 
 def append(history: History, iteration: int, elites: dict[str, np.ndarray], cells: int) -> History:
-    """``history`` with those of ``elites`` (``archive.returns``, after ``iteration``) that it does not end with."""
+    """``history`` with the elites of ``archive.returns`` after ``iteration`` that are new since its last row."""
     before = snapshot(history, iteration, cells)["fitness"]
     new = elites["fitness"] != before[elites["index"]]  # true for an empty cell too, whose fitness is not-a-number
     index = elites["index"][new].astype(np.int32)
@@ -29,10 +29,12 @@ def append(history: History, iteration: int, elites: dict[str, np.ndarray], cell
 
 
 def snapshot(history: History, iteration: int, cells: int) -> dict[str, np.ndarray]:
-    """``true_return`` and ``fitness`` (cells,) of the archive after ``iteration``, not-a-number where it was empty."""
+    """``true_return`` and ``fitness`` (cells,) of the archive after ``iteration``; NaN in cells that were empty."""
     until = np.searchsorted(history.iteration, iteration, side="right")
     grids = {}
     for name in ("true_return", "fitness"):
         grids[name] = np.full(cells, np.nan, np.float32)
-        grids[name][history.cell[:until]] = getattr(history, name)[:until]  # of a cell's several, the last stays
+        grids[name][history.cell[:until]] = getattr(history, name)[
+            :until
+        ]  # of several elites of a cell, the last stays
     return grids

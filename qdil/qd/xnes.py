@@ -10,7 +10,7 @@ def utilities(values: np.ndarray) -> np.ndarray:
     """Rank-based weights (n,) that sum to zero, best largest, for ``values`` (n,) or (n, criteria).
 
     u_i ∝ max(0, log(n/2+1) − log i) − 1/n for rank i = 1 … n (section 3.1 of the xNES paper). Rows of ``values``
-    that are equal share the mean of their ranks' weights, so solutions that improved nothing pull nowhere.
+    that are equal share the mean of their ranks' weights, so that solutions without improvement do not move the mean.
     """
     values = np.atleast_2d(np.asarray(values, float).T).T
     n = len(values)
@@ -25,18 +25,19 @@ def utilities(values: np.ndarray) -> np.ndarray:
 
 
 def symmetric_exp(a: np.ndarray) -> np.ndarray:
-    """The matrix exponential of a symmetric ``a`` (d, d).
+    """The matrix exponential of a symmetric ``a`` (d, d), from its eigenvectors.
 
-    Not SciPy's: for a tenth of a second after that one, BLAS' threads wait for more on cores that robots need.
+    SciPy's ``expm`` calls BLAS, whose threads spin for a tenth of a second afterwards on cores that the simulation
+    needs.
     """
     values, vectors = np.linalg.eigh(a)
     return (vectors * np.exp(values)) @ vectors.T
 
 
 class XNES(EvolutionStrategyBase):
-    """Exponential natural evolution strategy: samples c = μ + σ·B·z, z ~ N(0, I), and follows the natural gradient.
+    """Exponential natural evolution strategy (Glasmachers et al., 2010): samples c = μ + σ·B·z, z ~ N(0, I), and follows the natural gradient.
 
-    All samples count, weighted by ``utilities``; ``num_parents`` is ignored. Learning rates are the paper's: 1 for
+    All samples count, weighted by ``utilities``; ``num_parents`` is ignored. Learning rates are that paper's: 1 for
     the mean, (9 + 3 log d) / (5 d √d) for σ and B. Its state is ``mean`` (d,), ``sigma`` and ``shape`` B (d, d) with
     determinant 1. Unbounded: bounds other than infinite are refused with ValueError.
     """
@@ -60,14 +61,14 @@ class XNES(EvolutionStrategyBase):
         self.reset(np.zeros(self.dim))
 
     def reset(self, x0: np.ndarray) -> None:
-        """Start over at mean ``x0`` (d,) with Σ = σ0² I; the random stream goes on, so samples differ."""
+        """Start over at mean ``x0`` (d,) with Σ = σ0² I. The random generator continues, so new samples differ."""
         self.mean = np.array(x0, float)
         self.sigma = self.sigma0
         self.shape = np.eye(self.dim)
         self._z = np.zeros((0, self.dim))
 
     def check_stop(self, ranking_values: np.ndarray) -> bool:
-        """True when the distribution has collapsed or blown up beyond use."""
+        """True if the distribution has become too narrow or too wide to sample from."""
         if not (np.isfinite(self.sigma) and np.all(np.isfinite(self.shape))):
             return True
         widest = self.sigma * np.linalg.norm(self.shape, ord=2)

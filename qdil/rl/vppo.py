@@ -64,7 +64,7 @@ class Info(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What the loss reads, axes (K, T, E/K)."""
+    """The data of the loss, axes (K, T, E/K)."""
 
     obs: jax.Array  # normalised (…, O)
     sample: ActionSample
@@ -192,7 +192,8 @@ def _prepare(
     after = jax.vmap(update_return_stats)(train_state.returns, mean, square)
     target = (returns - after.mean[:, None, None]) / after.std[:, None, None]
     advantage = jnp.einsum("ktes,ks->kte", advantages, weighting.weights)
-    # Clipping is to limit how far the critic moves, so it is measured from the critic's own output, before the shift.
+    # Value clipping limits how far the critic moves, so it is measured from the critic's output before the shift of
+    # the return statistics.
     return train_state._replace(returns=after), Batch(obs, sample, advantage, target, value)
 
 
@@ -241,7 +242,7 @@ def gae(
 def _train_epochs(
     train_state: TrainState, batch: Batch, key: jax.Array, tied: jax.Array, epochs: jax.Array, ppo: PPO
 ) -> tuple[TrainState, jax.Array]:
-    """Up to ``epochs`` passes over the rollout; a copy whose mean KL (K,) passes the target stops after that one."""
+    """Up to ``epochs`` passes over the rollout. A copy stops after the pass whose mean KL (K,) exceeds the target."""
     copies, length = batch.advantage.shape[:2]
 
     def epoch(carry):
@@ -250,7 +251,7 @@ def _train_epochs(
         parts = _shuffled(batch, jax.random.permutation(order_key, length), ppo.minibatches)
         parts = parts._replace(advantage=_normalised(parts.advantage, tied))
         moved, kls = jax.lax.scan(lambda state, part: _minibatch_step(state, part, tied, ppo), train_state, parts)
-        # What a copy that has stopped would have learned is thrown away once an epoch, not at every step.
+        # A stopped copy's learning is discarded once per epoch, which is cheaper than at every step.
         train_state, kl = where_each(active, (moved, jnp.mean(kls, axis=0)), (train_state, kl))
         return i + 1, train_state, active & (kl <= ppo.target_kl), kl, key
 
