@@ -35,7 +35,7 @@ def symmetric_exp(a: np.ndarray) -> np.ndarray:
 
 
 class XNES(EvolutionStrategyBase):
-    """Exponential natural evolution strategy (Glasmachers et al., 2010): samples c = μ + σ·B·z, z ~ N(0, I), and follows the natural gradient.
+    """Exponential natural evolution strategy: samples c = μ + σ·B·z, z ~ N(0, I), and follows the natural gradient.
 
     All samples count, weighted by ``utilities``; ``num_parents`` is ignored. Learning rates are that paper's: 1 for
     the mean, (9 + 3 log d) / (5 d √d) for σ and B. Its state is ``mean`` (d,), ``sigma`` and ``shape`` B (d, d) with
