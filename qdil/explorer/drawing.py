@@ -9,8 +9,13 @@ from qdil.robots.shapes import Pose, Shapes
 
 SKY, BODY = np.array([238, 242, 246], np.float32), np.array([154, 163, 178], np.float32)
 TILES = np.array([[217, 221, 226], [195, 201, 209]], np.float32)
-LEGS = np.array([[125, 107, 79], [95, 127, 150]], np.float32)
-FEET = np.array([[230, 159, 0], [86, 180, 233]], np.float32)  # while they touch the ground
+# Okabe and Ito's colours for up to six feet while they touch the ground, and their legs', as in ``colours.js``.
+FEET = np.array(
+    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [213, 94, 0], [0, 114, 178], [204, 121, 167]], np.float32
+)
+LEGS = np.array(
+    [[125, 107, 79], [95, 127, 150], [79, 122, 107], [138, 100, 80], [79, 102, 128], [134, 105, 122]], np.float32
+)
 LAMP = np.array([-0.29, -0.48, 0.83], np.float32)  # towards the light
 OPENING = np.deg2rad(32.0)  # the camera's vertical angle of view
 RING = (0.16, 0.21)  # metres: radii of the ring under a foot that touches the ground
@@ -35,17 +40,19 @@ class Scene(NamedTuple):
     rings: np.ndarray  # (R, 5): x, y of a touching foot and its colour
 
 
-def scene(robot: Shapes, side: np.ndarray, pose: Pose, touching: np.ndarray) -> Scene:
-    """A robot in ``pose``: ``side`` (L,) as ``shown.legs`` gives it, ``touching`` (k,) bool, which feet are lit."""
+def scene(robot: Shapes, leg: np.ndarray, pose: Pose, touching: np.ndarray) -> Scene:
+    """A robot in ``pose``. ``leg`` (L,) is from ``shown.legs``; ``touching`` (k,) bool says which feet to light."""
     ends = shapes.placed(robot, pose).astype(np.float32)
-    of_leg = side[robot.link]
-    colour = np.where((of_leg >= 0)[:, None], LEGS[of_leg % 2], BODY)
+    of_leg = leg[robot.link]
+    colour = np.where((of_leg >= 0)[:, None], LEGS[of_leg % len(LEGS)], BODY)
     rings = []
     for foot in np.flatnonzero(touching):
-        mine = np.flatnonzero(robot.foot == foot)
-        colour[mine] = FEET[foot % 2]
-        middles = ends[mine].mean(axis=1)
-        rings.append([*middles[np.argmin(middles[:, 2]), :2], *FEET[foot % 2]])
+        capsules = np.flatnonzero(robot.foot == foot)
+        if not len(capsules):
+            continue  # a foot of another shape, which is not drawn
+        colour[capsules] = FEET[foot % len(FEET)]
+        middles = ends[capsules].mean(axis=1)
+        rings.append([*middles[np.argmin(middles[:, 2]), :2], *FEET[foot % len(FEET)]])
     return Scene(ends, robot.radius.astype(np.float32), colour, np.reshape(rings, (-1, 5)).astype(np.float32))
 
 

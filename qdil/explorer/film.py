@@ -82,6 +82,7 @@ def still(shown: Shown, rollout: Rollout, step: int, width: int, height: int) ->
     assert shown.config is not None
     env, step = shown.config["env"], min(step, len(rollout.reward) - 1)
     about = showing.robot(env)
+    assert about is not None  # or the run would not play
     pose = Pose(rollout.position[step], rollout.rotation[step])
     what = drawing.scene(shapes.shapes(env), showing.legs(env), pose, rollout.contact[step])
     torso = rollout.position[step, 0]
@@ -132,16 +133,16 @@ def _mp4(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as coder:
             assert coder.stdin is not None and coder.stderr is not None
             _feed(coder.stdin, itertools.chain([first], frames))
-            said = coder.stderr.read().decode()
+            complaint = coder.stderr.read().decode()
         if coder.returncode:
-            raise OSError(f"the film could not be coded: {said.strip()}")
+            raise OSError(f"the film could not be coded: {complaint.strip()}")
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
 
 
 def _feed(pipe: IO[bytes], frames: Iterable[np.ndarray]) -> None:
-    """Write frames until the coder no longer reads: then it has said why, and that is the error to tell."""
+    """Write frames until the coder stops reading; its own error message then explains the failure."""
     with contextlib.suppress(BrokenPipeError), pipe:
         for frame in frames:
             pipe.write(frame.tobytes())
@@ -175,25 +176,36 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 
 
 def _head(shown: Shown, cell: int, width: int, about: str = "") -> np.ndarray:
-    """(46, width, 3): what a robot's return is and how long its feet are on the ground; ``about`` the rest."""
-    assert shown.config is not None
+    """(46, width, 3): a robot's return, and the share of time that each foot is on the ground; then ``about``."""
     row = int(np.flatnonzero(np.asarray(shown.archive["index"]) == cell)[0])
-    first, second = (round(100 * float(share)) for share in shown.archive["measures"][row])
+    shares = [round(100 * float(share)) for share in shown.archive["measures"][row]]
     picture = Image.new("RGB", (width, 46), "white")
     pen = ImageDraw.Draw(picture)
     pen.text((8, 5), f"return {shown.archive['true_return'][row]:.0f}", TEXT, _font(14))
-    pen.text((8, 25), f"feet on the ground {first} %, {second} %{about}", TEXT, _font(11))
+    pen.text((8, 25), f"{_shares_text(shares)}{about}", TEXT, _font(11))
     return np.asarray(picture)
 
 
+def _shares_text(shares: Sequence[int]) -> str:
+    """How long each foot is on the ground, in percent; short enough for a picture of 240 pixels."""
+    if len(shares) > 2:
+        return f"on the ground {', '.join(map(str, shares))} %"
+    return f"{'foot' if len(shares) == 1 else 'feet'} on the ground {', '.join(f'{share} %' for share in shares)}"
+
+
 def _gait(rollout: Rollout, count: int, width: int, first: int = 0) -> np.ndarray:
-    """(34, width, 3): when each foot touches the ground in ``count`` steps from ``first`` on; white after the end."""
-    strip = np.full((34, width, 3), 255, np.uint8)
+    """(10 + 12 k, width, 3): a bar for each foot, coloured while it touches the ground, white after the episode.
+
+    The bars show ``count`` steps from step ``first`` on.
+    """
+    feet = rollout.contact.shape[1]
+    strip = np.full((10 + 12 * feet, width, 3), 255, np.uint8)
     step = first + np.minimum(np.arange(width) * count // width, count - 1)
-    there = step < len(rollout.reward)
-    for foot in range(rollout.contact.shape[1]):
-        on = there & rollout.contact[np.minimum(step, len(rollout.reward) - 1), foot]
-        row = np.where(on[:, None], drawing.FEET[foot % 2], np.where(there[:, None], FAINT, 255)).astype(np.uint8)
+    runs_on = step < len(rollout.reward)
+    for foot in range(feet):
+        on = runs_on & rollout.contact[np.minimum(step, len(rollout.reward) - 1), foot]
+        colour = drawing.FEET[foot % len(drawing.FEET)]
+        row = np.where(on[:, None], colour, np.where(runs_on[:, None], FAINT, 255)).astype(np.uint8)
         strip[6 + 12 * foot : 15 + 12 * foot] = row
     return strip
 
@@ -201,5 +213,5 @@ def _gait(rollout: Rollout, count: int, width: int, first: int = 0) -> np.ndarra
 def _playhead(strip: np.ndarray, step: int, longest: int) -> np.ndarray:
     marked = strip.copy()
     at = min(int((step + 0.5) / longest * strip.shape[1]), strip.shape[1] - 2)
-    marked[2:31, at : at + 2] = TEXT
+    marked[2:-3, at : at + 2] = TEXT
     return marked

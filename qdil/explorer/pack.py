@@ -61,35 +61,35 @@ def pack(rollout: Rollout) -> bytes:
         "reward_low": low,
         "reward_unit": unit,
     }
-    told = json.dumps(header).encode()
+    encoded = json.dumps(header).encode()
     contacts = (rollout.contact * (1 << np.arange(rollout.contact.shape[1]))).sum(axis=1).astype(np.uint8)
     levels = np.rint((rollout.reward.astype(np.float64) - low) / unit)[:, None]
     body = _planes(_changes(channels)) + _planes(levels.T) + contacts.tobytes()
-    return zlib.compress(struct.pack("<I", len(told)) + told + body, 9)
+    return zlib.compress(struct.pack("<I", len(encoded)) + encoded + body, 9)
 
 
 def unpack(content: bytes) -> Unpacked:
     """Undo ``pack``, up to rounding."""
     raw = zlib.decompress(content)
     (size,) = struct.unpack_from("<I", raw)
-    told = json.loads(raw[4 : 4 + size])
-    frames, links, steps = told["frames"], told["links"], told["steps"]
+    header = json.loads(raw[4 : 4 + size])
+    frames, links, steps = header["frames"], header["links"], header["steps"]
     at, count = 4 + size, frames * links * 7
     channels = _from_planes(raw[at : at + 2 * count]).reshape(links * 7, frames).cumsum(axis=1).T
     at += 2 * count
     levels = _from_planes(raw[at : at + 2 * steps])
     contact = np.frombuffer(raw, np.uint8, steps, at + 2 * steps)
-    position = channels[:, : links * 3].reshape(frames, links, 3) * told["position_unit"]
+    position = channels[:, : links * 3].reshape(frames, links, 3) * header["position_unit"]
     position[:, 1:] += position[:, :1]
-    rotation = channels[:, links * 3 :].reshape(frames, links, 4) * told["rotation_unit"]
+    rotation = channels[:, links * 3 :].reshape(frames, links, 4) * header["rotation_unit"]
     return Unpacked(
         position,
         rotation,
-        told["stride"],
-        (contact[:, None] >> np.arange(told["feet"])) % 2 == 1,
-        told["reward_low"] + levels * told["reward_unit"],
-        told["seconds"],
-        told["fell"],
+        header["stride"],
+        (contact[:, None] >> np.arange(header["feet"])) % 2 == 1,
+        header["reward_low"] + levels * header["reward_unit"],
+        header["seconds"],
+        header["fell"],
     )
 
 

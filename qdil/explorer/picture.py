@@ -1,25 +1,28 @@
-"""What stands in for the explorer where nothing can move: the heatmap, and moments of one robot's episode."""
+"""The still picture of the explorer for places without scripts: the map, and moments of one robot's episode."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure, SubFigure
 from PIL import Image
 
-from qdil.explorer import film
+from qdil.explorer import drawing, film
 from qdil.explorer import shown as showing
+from qdil.explorer.projection import project
 from qdil.explorer.rollouts import Rollout
 from qdil.explorer.shown import Shown
 from qdil.plotting import heatmap, to_png
-from qdil.plotting.colours import RED
+from qdil.plotting.colours import EMPTY, RED
 
-WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches and dots: the size of the frame that lies over it
+WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches, inches, dots per inch: the size of the live frame over the picture
+STRIP = 0.16  # height of a strip of cells, in its widths
 MOMENTS = 3
 SKETCH, SKETCH_COLOURS = 4.6, 200  # inches across; few colours make a small file
-FEET = ("#e69f00", "#56b4e9")  # as in the front end
 
 
 def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
@@ -27,15 +30,24 @@ def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
     shown = runs[state["run"]]
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=[5, 7], squeeze=False)[0]
-    ax = _map(shown, left)
+    axes_shown = state["axes"]
+    ax = _map(shown, axes_shown, left)
     index = np.asarray(shown.archive["index"])
     cells = [cell for run, cell in state["selected"] if run == state["run"] and cell in index]
     if not cells or not shown.plays:
         right.text(0.5, 0.5, shown.why or "no cell chosen", ha="center")
         return to_png(figure)
     row = int(np.flatnonzero(index == cells[0])[0])
-    x, y = shown.archive["measures"][row]
-    ax.scatter(x, y, marker="s", s=110, facecolors="none", edgecolors="black", linewidths=2)
+    _scatter(
+        ax,
+        shown.archive["measures"][[row]],
+        axes_shown,
+        marker="s",
+        s=110,
+        facecolors="none",
+        edgecolors="black",
+        linewidths=2,
+    )
     rollout = showing.roll_out(shown, cells[:1])[0]
     axes = right.subplot_mosaic([list(range(MOMENTS)), ["gait"] * MOMENTS], height_ratios=[3, 1])
     _moments(shown, rollout, [axes[i] for i in range(MOMENTS)])
@@ -46,9 +58,9 @@ def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
 
 
 def sketch(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
-    """A small PNG of the map alone, in few colours: drawn in a moment, since no robot has to be simulated for it."""
+    """A small PNG of the map alone, in few colours. It is quick to make: no robot is simulated."""
     figure = Figure(figsize=(SKETCH, 1.36 * SKETCH), dpi=DPI, layout="constrained")
-    _map(runs[state["run"]], figure)
+    _map(runs[state["run"]], state["axes"], figure)
     figure.supxlabel("Run this notebook to click cells and see their robots walk.", size=9)
     buffer = io.BytesIO()
     with Image.open(io.BytesIO(to_png(figure))) as drawn:
@@ -56,17 +68,49 @@ def sketch(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def _map(shown: Shown, figure: Figure | SubFigure) -> Axes:
-    """The archive's heatmap, with its demonstrators and its colour bar."""
+def _map(shown: Shown, axes: Sequence[int], figure: Figure | SubFigure) -> Axes:
+    """The archive over one or two of its ``axes``, with its demonstrators and its colour bar."""
     ax = figure.subplots()
-    mesh = heatmap(shown.archive, ax, robot=shown.config["env"] if shown.config else None, colour_bar=False)
-    bar = figure.colorbar(mesh, ax=ax, location="bottom", shrink=0.9)
-    bar.set_label("true return per episode (reward units)\ngrey: empty cell")
+    seen = project(shown.archive, axes)
+    drawn: ScalarMappable = _strip(seen, ax) if len(axes) == 1 else heatmap(seen, ax, colour_bar=False)
+    ax.set_xlabel(_measure_label(shown, axes[0]))
+    if len(axes) > 1:
+        ax.set_ylabel(_measure_label(shown, axes[1]))
+    bar = figure.colorbar(drawn, ax=ax, location="bottom", shrink=0.9)
+    others = ", ".join(foot for axis, foot in enumerate(shown.feet) if axis not in axes)
+    best = f"\nbest elite over the other feet ({others})" if others else ""
+    bar.set_label(f"true return per episode (reward units)\ngrey: empty cell{best}")
     ax.set_title(shown.name)
     if len(shown.demonstrators):
-        x, y = np.transpose(shown.demonstrators)
-        ax.scatter(x, y, marker="*", s=150, c=RED, edgecolors="white", clip_on=False)
+        _scatter(ax, shown.demonstrators, axes, marker="*", s=150, c=RED, edgecolors="white", clip_on=False)
     return ax
+
+
+def _measure_label(shown: Shown, axis: int) -> str:
+    foot = f"foot {axis + 1}"
+    name = f" ({shown.feet[axis]})" if shown.feet[axis] != foot else ""
+    return f"share of time {foot}{name}\ntouches the ground"
+
+
+def _strip(archive: Mapping[str, np.ndarray], ax: Axes) -> ScalarMappable:
+    """An archive of one measure as a row of cells, coloured by the true return."""
+    count = int(archive["cells"][0])
+    values = np.full(count, np.nan)
+    values[archive["index"]] = archive["true_return"]
+    colours = colormaps["viridis"].with_extremes(bad=EMPTY)
+    edges = np.linspace(0, 1, count + 1)
+    mesh = ax.pcolormesh(
+        edges, [0, 1], np.ma.masked_invalid(values[None]), cmap=colours, edgecolor="white", linewidth=0.5
+    )
+    ax.set(xlim=(0, 1), ylim=(0, 1), yticks=[], aspect=STRIP)
+    return mesh
+
+
+def _scatter(ax: Axes, measures: np.ndarray, axes: Sequence[int], **style: Any) -> None:
+    """Marks at ``measures`` (n, k) on the map of ``axes``; in the middle of a strip's height."""
+    x = measures[:, axes[0]]
+    y = measures[:, axes[1]] if len(axes) > 1 else np.full(len(x), 0.5)
+    ax.scatter(x, y, **style)
 
 
 def _moments(shown: Shown, rollout: Rollout, axes: list[Axes]) -> None:
@@ -80,12 +124,11 @@ def _moments(shown: Shown, rollout: Rollout, axes: list[Axes]) -> None:
 
 
 def _gait(shown: Shown, rollout: Rollout, ax: Axes) -> None:
-    """When each foot is on the ground."""
-    assert shown.config is not None
-    about = showing.robot(shown.config["env"])
-    for foot, colour in enumerate(FEET):
+    """When each of the k feet is on the ground."""
+    for foot in range(shown.k):
         starts = np.flatnonzero(rollout.contact[:, foot])
         spans = [(step * rollout.seconds, rollout.seconds) for step in starts]
-        ax.broken_barh(spans, (-foot - 0.4, 0.8), color=colour)
-    ax.set(yticks=[0, -1], yticklabels=about["feet"], xlabel="time (s); coloured: the foot touches the ground")
+        ax.broken_barh(spans, (-foot - 0.4, 0.8), color=drawing.FEET[foot] / 255)
+    rows = [-foot for foot in range(shown.k)]
+    ax.set(yticks=rows, yticklabels=shown.feet, xlabel="time (s); coloured: the foot touches the ground")
     ax.set_xlim(0, len(rollout.reward) * rollout.seconds)

@@ -134,10 +134,10 @@ def test_marks_are_those_of_the_expert_and_the_demonstrations(tmp_path):
     config = read_config(expert)
     places = np.array([[0.3, 0.5], [0.7, 0.1]], np.float32)
     np.savez(tmp_path / f"demos-{config['demo_episodes']}.npz", elite_measures=places)
-    told = shown.told(shown.read([expert, imitator]))["runs"]
-    assert told[0]["top"] == sorted(CELLS, reverse=True)[:5]  # a fifth of 25 cells, and returns grow with the number
-    assert told[1]["top"] == []
-    np.testing.assert_allclose([one["demonstrators"] for one in told], [places, places], atol=1e-4)
+    runs = shown.content(shown.read([expert, imitator]))["runs"]
+    assert runs[0]["top"] == sorted(CELLS, reverse=True)[:5]  # a fifth of 25 cells, and returns grow with the number
+    assert runs[1]["top"] == []
+    np.testing.assert_allclose([one["demonstrators"] for one in runs], [places, places], atol=1e-4)
 
 
 def test_spread_out_cells_begin_with_the_best_and_are_all_different(folder):
@@ -149,9 +149,9 @@ def test_spread_out_cells_begin_with_the_best_and_are_all_different(folder):
 def test_legs_are_what_only_one_foot_hangs_on():
     model = brax_robots.model("humanoid")
     names = np.array([model.body(i + 1).name for i in range(model.nbody - 1)])
-    side = shown.legs("humanoid")
-    assert set(names[side == 0]) == {"right_thigh", "right_shin"}
-    assert set(names[side == 1]) == {"left_thigh", "left_shin"}
+    leg = shown.legs("humanoid")
+    assert set(names[leg == 0]) == {"right_thigh", "right_shin"}
+    assert set(names[leg == 1]) == {"left_thigh", "left_shin"}
 
 
 def test_a_page_holds_its_recordings_and_loads_nothing(folder, tmp_path):
@@ -213,9 +213,9 @@ def test_a_balls_picture_is_a_disc_of_the_right_size():
 
 def test_a_capsule_hides_what_is_behind_it_and_a_touching_foot_is_lit():
     robot, pose = shapes.shapes("walker2d"), shapes.first_pose("walker2d")
-    side = shown.legs("walker2d")
+    leg = shown.legs("walker2d")
     pictures = [
-        drawing.image(drawing.scene(robot, side, pose, np.array(feet)), np.array([0, 0, 0.7]), 1.4, 120, 120)
+        drawing.image(drawing.scene(robot, leg, pose, np.array(feet)), np.array([0, 0, 0.7]), 1.4, 120, 120)
         for feet in ([False, False], [True, False])
     ]
     changed = (pictures[0] != pictures[1]).any(axis=-1)
@@ -279,8 +279,8 @@ def test_a_history_beside_the_archive_gives_the_widget_its_slider(tmp_path):
     assert len(qdil.explore(path, live=True).children[0].children) == 1  # the colour menu alone
     explorer_runs.write_history(path, [1, 4, 9], [6, 12, 12], last=10)
     explored = qdil.explore(path, live=True)
-    told = explored.view.show["runs"][0]["history"]
-    assert told == {"iteration": [1, 4, 9], "index": [6, 12, 12], "last": 10, **explorer_runs.growing(3)}
+    history = explored.view.show["runs"][0]["history"]
+    assert history == {"iteration": [1, 4, 9], "index": [6, 12, 12], "last": 10, **explorer_runs.growing(3)}
     slider = explored.children[0].children[1].children[1]
     slider.value = 4
     assert explored.view.iteration == 4
