@@ -1,4 +1,4 @@
-"""Robots drawn in NumPy: every pixel's ray against capsules and ground, lit by one lamp. Needs no graphics hardware."""
+"""Robots drawn in NumPy, without OpenGL: every pixel's ray against capsules and ground, lit by one lamp."""
 
 from typing import NamedTuple
 
@@ -24,9 +24,9 @@ FINER = 2  # rays per pixel and direction
 
 
 class View(NamedTuple):
-    """Where the camera stands, around the robot; angles in radians."""
+    """The camera's place around the robot; angles in radians."""
 
-    azimuth: float = -np.pi / 2 + 0.35  # from behind 0, from the right -π/2
+    azimuth: float = -np.pi / 2 + 0.35  # 0: from behind; -π/2: from the right
     elevation: float = 0.16
     distance: float = 2.7  # in sizes of the robot
 
@@ -59,7 +59,7 @@ def scene(robot: Shapes, leg: np.ndarray, pose: Pose, touching: np.ndarray) -> S
 def image(
     what: Scene, target: np.ndarray, size: float, width: int, height: int, view: View | None = None
 ) -> np.ndarray:
-    """(height, width, 3) uint8: ``what`` as a camera sees it that looks at ``target`` (3,); ``size`` of the robot."""
+    """(height, width, 3) uint8: ``what`` seen by a camera that looks at ``target`` (3,); ``size`` of the robot (m)."""
     camera = _camera(np.asarray(target, np.float32), size, width * FINER, height * FINER, view or View())
     colour = _ground(what, camera, size)
     nearest = np.full(camera.rays.shape[:2], np.inf, np.float32)
@@ -102,7 +102,7 @@ def _camera(target: np.ndarray, size: float, width: int, height: int, view: View
 
 
 def _block(camera: _Camera, corners: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of the picture that hold everything between ``corners`` (N, 3); all where one is behind."""
+    """Rows and columns of the picture that hold the hull of ``corners`` (N, 3); all of them if a corner is behind."""
     height, width = camera.rays.shape[:2]
     right, up, ahead = camera.axes @ (corners - camera.eye).T
     if ahead.min() < 0.05:
@@ -114,9 +114,9 @@ def _block(camera: _Camera, corners: np.ndarray) -> tuple[slice, slice]:
 
 
 def _hit(origin: np.ndarray, rays: np.ndarray, ends: np.ndarray, radius: float) -> np.ndarray:
-    """Distance (...) along unit ``rays`` (..., 3) from ``origin`` ((3,) or (..., 3)) to a capsule; infinity if missed.
+    """Distance (...) along unit ``rays`` (..., 3) from ``origin`` ((3,) or (..., 3)) to a capsule; infinite if missed.
 
-    On the side of its cylinder where that lies between the ends, otherwise on the ball around one of them.
+    A ray hits the cylinder where the hit lies between the two ends, otherwise the ball around one end.
     """
     axis, start = ends[1] - ends[0], origin - ends[0]
     long, drift, offset = axis @ axis, rays @ axis, start @ axis
@@ -176,17 +176,17 @@ def _ground(what: Scene, camera: _Camera, size: float) -> np.ndarray:
 
 
 def _below(block: tuple[slice, slice], first: int) -> tuple[slice, slice]:
-    """A block's rows counted from row ``first`` on."""
+    """The same block with rows counted from row ``first``."""
     rows, columns = block
     return slice(max(rows.start - first, 0), max(rows.stop - first, 0)), columns
 
 
 def _shaded(what: Scene, camera: _Camera, points: np.ndarray, below: int) -> np.ndarray:
-    """Which ground ``points`` (H', W, 2), seen from row ``below`` on, the robot keeps the lamp from."""
+    """(H', W) bool: the ground ``points`` (H', W, 2), from row ``below`` on, that lie in the robot's shadow."""
     dark = np.zeros(points.shape[:2], bool)
     lamp = LAMP / np.linalg.norm(LAMP)
     for ends, radius in zip(what.ends, what.radius, strict=True):
-        cast = ends - ends[:, 2:] / lamp[2] * lamp  # where the lamp throws the ends
+        cast = ends - ends[:, 2:] / lamp[2] * lamp  # the shadows of the ends on the ground
         reach = radius / lamp[2]
         corners = [end + [dx, dy, 0] for end in cast for dx in (-reach, reach) for dy in (-reach, reach)]
         block = _below(_block(camera, np.array(corners)), below)

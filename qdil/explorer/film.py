@@ -41,12 +41,12 @@ def render(
 ) -> Path:
     """Draw the episodes of some elites of a run, side by side and in step, into ``path``; returns it.
 
-    ``runs``: a run as ``explore`` takes it (of several, the first). ``cells``: numbers of cells, at most four; or how
-    many to choose, among the best fifth and as different as possible, as demonstrators are. ``path`` ends in ``.mp4``,
-    ``.gif`` (both at ``speed`` times real time) or ``.png`` (a row of moments for each cell, out of the middle second).
-    ``width``: pixels of a robot's picture. Below each robot: which feet touch the ground, over the episode of a film,
-    over the second of a row. ``config``: the settings of an archive in memory. Nothing needs a GPU or a screen.
-    Raises ConfigError for another suffix, cells that are empty or too many, and runs without policies.
+    ``runs``: a run as for ``explore`` (of several, the first). ``cells``: at most four cell numbers; or how many cells
+    to choose among the best fifth, as different as possible, as for demonstrators. ``path`` ends in ``.mp4`` or
+    ``.gif`` (at ``speed`` times real time), or in ``.png`` (for each cell a row of moments from the middle second).
+    ``width``: pixels of a robot's picture. Bars below each robot show when each of its k feet touches the ground.
+    ``config``: the settings of an archive in memory. Nothing needs a GPU or a screen. Raises ConfigError for another
+    suffix, for empty or too many cells, and for runs without policies or without shapes to draw.
     """
     path, shown = Path(path), showing.read(runs, config)[0]
     writers: dict[str, Callable[[Shown, list[int], Path, float, int], None]] = {
@@ -78,7 +78,7 @@ def choose(shown: Shown, count: int) -> list[int]:
 
 
 def still(shown: Shown, rollout: Rollout, step: int, width: int, height: int) -> np.ndarray:
-    """(height, width, 3) uint8: the robot in step ``step`` of an episode; after its end, its last pose."""
+    """(height, width, 3) uint8: the robot at ``step`` of an episode; after the end, its last pose."""
     assert shown.config is not None
     env, step = shown.config["env"], min(step, len(rollout.reward) - 1)
     about = showing.robot(env)
@@ -91,7 +91,7 @@ def still(shown: Shown, rollout: Rollout, step: int, width: int, height: int) ->
 
 
 def _frames(shown: Shown, cells: list[int], speed: float, width: int, rate: int) -> Iterator[np.ndarray]:
-    """Pictures of all robots in step, ``rate`` a second, until the longest episode ends and half a second more."""
+    """Pictures of all robots in step, ``rate`` per second, until half a second after the longest episode."""
     rollouts = showing.roll_out(shown, cells)
     below = [_gait(rollout, max(len(r.reward) for r in rollouts), width) for rollout in rollouts]
     heads = [_head(shown, cell, width) for cell in cells]
@@ -109,7 +109,7 @@ def _frames(shown: Shown, cells: list[int], speed: float, width: int, rate: int)
 
 def _gif(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -> None:
     pictures = [Image.fromarray(frame) for frame in _frames(shown, cells, speed, width, GIF_RATE)]
-    # One palette for all, of pictures from the whole film, so that colours do not flicker.
+    # One palette, from pictures of the whole film: colours then do not flicker.
     sample = np.concatenate([np.asarray(picture) for picture in pictures[:: max(1, len(pictures) // 8)]])
     palette = Image.fromarray(sample).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
     first, *others = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
@@ -124,7 +124,7 @@ def _mp4(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
     frames = (
         frame[: len(frame) - len(frame) % 2] for frame in _frames(shown, cells, speed, width - width % 2, MP4_RATE)
     )
-    first = next(frames)  # even numbers of pixels: the coding halves the resolution of colours
+    first = next(frames)  # even width and height: the coder halves the resolution of colours
     size = f"{first.shape[1]}x{first.shape[0]}"
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(MP4_RATE), "-i", "-"]
     wanted = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "23", "-movflags", "faststart"]
@@ -149,9 +149,9 @@ def _feed(pipe: IO[bytes], frames: Iterable[np.ndarray]) -> None:
 
 
 def _png(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -> None:
-    """A row per cell: moments of the middle second of its episode (or of all of it, if it is shorter).
+    """A row per cell: moments of the middle second of its episode, or of a whole shorter episode.
 
-    Below them, the feet on the ground in that second: a mark for each moment stands under its picture.
+    Bars below show the feet on the ground in that second, with a mark under each picture for its moment.
     """
     rows = []
     for cell, rollout in zip(cells, showing.roll_out(shown, cells), strict=True):

@@ -1,6 +1,6 @@
 """A rollout in a few kilobytes: poses as small integers, their changes from frame to frame, deflated.
 
-What the front end's ``decode.js`` undoes. Layout after inflating, little-endian: the header's length (uint32), the
+The front end's ``decode.js`` unpacks it. Layout after inflating, little-endian: the header's length (uint32), the
 header (JSON), the poses' low bytes, their high bytes, the rewards' low and high bytes, one byte of contacts per step.
 """
 
@@ -13,14 +13,14 @@ import numpy as np
 
 from qdil.explorer.rollouts import Rollout
 
-POSITION_UNIT = 1e-3  # metres; a link is placed to half of this
+POSITION_UNIT = 1e-3  # metres; rounding moves a link by at most half of this
 ROTATION_UNIT = 1 / 4096  # of a quaternion's parts: a quarter of a tenth of a degree
 REWARD_LEVELS = 1000  # a reward is kept to a thousandth of the range within its episode
-FRAMES_PER_SECOND = 63.0  # poses are kept this often at most; the front end fills in between them
+FRAMES_PER_SECOND = 63.0  # of kept poses, at most; the front end interpolates between them
 
 
 class Unpacked(NamedTuple):
-    """What is left of a rollout after packing: F frames of poses, T ≥ F steps of contacts and rewards."""
+    """A rollout after packing and unpacking: F frames of poses, T ≥ F steps of contacts and rewards."""
 
     position: np.ndarray  # (F, L, 3)
     rotation: np.ndarray  # (F, L, 4)
@@ -94,14 +94,14 @@ def unpack(content: bytes) -> Unpacked:
 
 
 def _continuous(rotation: np.ndarray) -> np.ndarray:
-    """The same rotations (F, L, 4) with signs that never jump: q and -q turn alike."""
+    """The same rotations (F, L, 4) with signs that never jump: q and -q are one rotation."""
     along = np.sum(rotation[1:] * rotation[:-1], axis=-1, keepdims=True)
     signs = np.cumprod(np.where(along < 0, -1.0, 1.0), axis=0)
     return np.concatenate([rotation[:1], rotation[1:] * signs]).astype(np.float64)
 
 
 def _changes(channels: np.ndarray) -> np.ndarray:
-    """(F, C) to (C, F): each channel's first value, then its changes."""
+    """(F, C) to (C, F): the first value of each channel, then its changes."""
     changes = np.diff(channels, axis=0, prepend=0.0).T
     if np.abs(changes).max() > 2**15 - 1:
         raise ValueError("a link moves too far from one frame to the next: is this physics sound?")
@@ -109,7 +109,7 @@ def _changes(channels: np.ndarray) -> np.ndarray:
 
 
 def _planes(whole: np.ndarray) -> bytes:
-    """Whole numbers as int16 with the sign in the lowest bit, all low bytes and then all high ones: deflates best."""
+    """Integers as 16 bits with the sign in the lowest bit; all low bytes, then all high bytes, which deflates best."""
     number = whole.astype(np.int64).ravel()
     folded = np.where(number < 0, -2 * number - 1, 2 * number).astype("<u2")
     return (folded & 0xFF).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes()

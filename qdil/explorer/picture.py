@@ -22,11 +22,11 @@ from qdil.plotting.colours import EMPTY, RED
 WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches, inches, dots per inch: the size of the live frame over the picture
 STRIP = 0.16  # height of a strip of cells, in its widths
 MOMENTS = 3
-SKETCH, SKETCH_COLOURS = 4.6, 200  # inches across; few colours make a small file
+SKETCH, SKETCH_COLOURS = 4.6, 200  # inches across; few colours keep the file small
 
 
 def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
-    """A PNG of ``state``: the run's heatmap with the chosen cell marked and, where it can walk, its robot and gait."""
+    """A PNG of ``state``: the run's map with the chosen cell marked and, if its robot can be shown, robot and gait."""
     shown = runs[state["run"]]
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=[5, 7], squeeze=False)[0]
@@ -59,7 +59,8 @@ def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
 
 def sketch(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
     """A small PNG of the map alone, in few colours. It is quick to make: no robot is simulated."""
-    figure = Figure(figsize=(SKETCH, 1.36 * SKETCH), dpi=DPI, layout="constrained")
+    height = 1.36 if len(state["axes"]) > 1 else 0.66  # in widths: a square, or a strip
+    figure = Figure(figsize=(SKETCH, height * SKETCH), dpi=DPI, layout="constrained")
     _map(runs[state["run"]], state["axes"], figure)
     figure.supxlabel("Run this notebook to click cells and see their robots walk.", size=9)
     buffer = io.BytesIO()

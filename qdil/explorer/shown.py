@@ -248,7 +248,8 @@ def robot(env: str) -> dict[str, Any] | None:
         "feet": list(_feet(env)),
         "links": len(pose.position),
         "capsules": capsules,
-        "size": round(float(max(high[2] - low[2], 0.75 * (high[0] - low[0]))), 3),
+        # Metres for the camera to hold: the height, or what fits from any side of the horizontal extent.
+        "size": round(float(max(high[2] - low[2], 0.75 * np.hypot(*(high - low)[:2]))), 3),
         "middle": round(float(low[2] + high[2]) / 2, 3),
         "torso": round(float(pose.position[0, 2]), 3),
     }
