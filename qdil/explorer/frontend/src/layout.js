@@ -60,7 +60,7 @@ export function build(el, show, withMenus) {
 /** Two menus that choose which of more than two feet the map's axes show: {bar, onChange, sync}. */
 function axisMenus({ feet, cells }) {
   let axes = [];
-  const menus = cells.length > 2 ? [0, 1].map(() => make("select", {}, ...feet.map((foot, k) => option(k, foot)))) : [];
+  const menus = cells.length > 2 ? ["Across", "Up"].map((way) => make("select", { "aria-label": `${way}: the foot on this axis` }, ...feet.map((foot, k) => option(k, foot)))) : [];
   const bar = make("div", { className: "qdil-menus", hidden: !menus.length });
   menus.forEach((menu, n) => bar.append(labelled(["Across", "Up"][n], menu)));
   return {
