@@ -8,7 +8,7 @@ import numpy as np
 
 from qdil.config import make_config, to_json
 from qdil.rl import networks
-from qdil.robots import brax_robots
+from qdil.robots import register
 
 CELLS = 5
 
@@ -16,7 +16,7 @@ CELLS = 5
 def policies(
     count: int, env: str = "walker2d", hidden: tuple[int, ...] = (8, 8), seed: int = 0
 ) -> dict[str, np.ndarray]:
-    robot = brax_robots.make(env)
+    robot = register.make(env)
     keys = jax.random.split(jax.random.key(seed), count)
     made = [networks.flatten(networks.init_policy(key, robot.obs_size, robot.action_size, hidden, 1.0)) for key in keys]
     theta = np.array(made) * np.linspace(1, 40, count)[:, None]  # the mean action's last layer is small at first

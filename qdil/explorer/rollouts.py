@@ -11,7 +11,7 @@ import numpy as np
 from qdil.rl import networks
 from qdil.rl.evaluate import Policies
 from qdil.rl.rollout import where_each
-from qdil.robots import brax_robots
+from qdil.robots import register
 from qdil.robots.environment import RobotState
 from qdil.types import ObsStats
 
@@ -100,16 +100,13 @@ def _batch(player: _Player, policies: Policies, length: int, seconds: float, see
 @lru_cache(maxsize=8)
 def _player(name: str, backend: str, hidden: Sequence[int]) -> tuple[_Player, _Sizes]:
     """The compiled functions of a robot and network, and their sizes."""
-    env = brax_robots.make(name, backend)
-    shapes = jax.eval_shape(
-        lambda key: networks.init_policy(key, env.obs_size, env.action_size, hidden, 1.0), jax.random.key(0)
-    )
-    like = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    env = register.make(name, backend)
+    template = networks.template_of(env.obs_size, env.action_size, hidden)
 
     def act(policy: Policies, obs: jax.Array) -> jax.Array:
         unused = jnp.zeros_like(policy.obs_mean)
         stats = ObsStats(policy.obs_mean, policy.obs_std, unused, unused)
-        return networks.policy_mean(networks.unflatten(policy.theta, like), stats, obs)
+        return networks.policy_mean(networks.unflatten(policy.theta, template), stats, obs)
 
     def advance(policies: Policies, robot: RobotState, alive: jax.Array):
         def step(carry, _):
@@ -124,4 +121,4 @@ def _player(name: str, backend: str, hidden: Sequence[int]) -> tuple[_Player, _S
         return robot, alive, seen
 
     player = _Player(jax.jit(jax.vmap(env.reset)), jax.jit(advance))
-    return player, _Sizes(networks.flat_size(like), env.obs_size, env.step_seconds)
+    return player, _Sizes(networks.flat_size(template), env.obs_size, env.step_seconds)

@@ -19,7 +19,6 @@ from qdil.robots import brax_robots, register, shapes
 from qdil.runs.folder import read_archive, read_config
 
 NEEDED = ("index", "measures", "fitness", "true_return", "length", "cells")
-MOST_MEASURES = 6  # as many feet as there are colours for
 POLICY = ("solution", "obs_mean", "obs_std")
 Archive = Mapping[str, Any]
 Runs = str | Path | Archive | Sequence[Any] | Mapping[str, Any]
@@ -50,8 +49,9 @@ class Shown(NamedTuple):
     @property
     def feet(self) -> list[str]:
         """The names of the k feet."""
-        named = list(_feet(self.config["env"])) if self.config else []
-        return named if len(named) == self.k else [f"foot {i + 1}" for i in range(self.k)]
+        if self.config:
+            return list(register.find(self.config["env"]).measure_names)
+        return [f"foot {i + 1}" for i in range(self.k)]
 
 
 def read(runs: Runs, config: Mapping[str, Any] | None = None) -> list[Shown]:
@@ -110,12 +110,17 @@ def _checked(shown: Shown) -> Shown:
     missing = [field for field in NEEDED if field not in shown.archive]
     if missing:
         raise ConfigError(f"the archive '{shown.name}' has no {', '.join(missing)}.")
-    if not 1 <= shown.k <= MOST_MEASURES:
-        raise ConfigError(f"the explorer draws 1 to {MOST_MEASURES} measures; '{shown.name}' has {shown.k}.")
-    if shown.config and shown.config["env"] not in register.robot_names():
-        raise ConfigError(f"'{shown.name}' is of the unknown robot '{shown.config['env']}'.")
-    if shown.config and not shown.why and robot(shown.config["env"]) is None:
-        return shown._replace(why=f"the robot {shown.config['env']} has no shapes to draw")
+    if not 1 <= shown.k <= register.MOST_MEASURES:
+        raise ConfigError(f"the explorer draws 1 to {register.MOST_MEASURES} measures; '{shown.name}' has {shown.k}.")
+    if not shown.config:
+        return shown
+    env = shown.config["env"]
+    if env not in register.robot_names():
+        raise ConfigError(f"'{shown.name}' is of the unknown robot '{env}'.")
+    if shown.k != register.count_measures(env):
+        raise ConfigError(f"'{shown.name}' has {shown.k} measures; {env} has {register.count_measures(env)}.")
+    if shown.plays and robot(env) is None:
+        return shown._replace(why=f"the robot {env} has no shapes to draw")
     return shown
 
 
@@ -224,13 +229,14 @@ def _rounded(values: Any) -> Any:
     return np.round(np.asarray(values, float), 4).tolist()
 
 
-def _feet(env: str) -> Sequence[str]:
-    return register.find(env).measure_names
-
-
 @cache
 def robot(env: str) -> dict[str, Any] | None:
-    """A robot's capsules for the front end: link numbers, ends in the links' frames, metres. None if it has none."""
+    """A robot's capsules for the front end: link numbers, ends in the links' frames, metres.
+
+    None for a robot without capsules and for a user's own environment, which has no model to read shapes from.
+    """
+    if register.find(env).environment is not None:
+        return None
     body, pose = shapes.shapes(env), shapes.first_pose(env)
     if not len(body.link):
         return None
@@ -245,7 +251,7 @@ def robot(env: str) -> dict[str, Any] | None:
     ]  # fmt: skip
     return {
         "name": env,
-        "feet": list(_feet(env)),
+        "feet": list(register.find(env).measure_names),
         "links": len(pose.position),
         "capsules": capsules,
         # Metres for the camera to hold: the height, or what fits from any side of the horizontal extent.
@@ -258,9 +264,9 @@ def robot(env: str) -> dict[str, Any] | None:
 @cache
 def legs(env: str) -> np.ndarray:
     """(L,) for every link the foot whose leg it is part of; -1 for the root and for links of no leg or of several."""
-    model, body = brax_robots.model(env), shapes.shapes(env)
+    model, body = brax_robots.model(register.find(env)), shapes.shapes(env)
     chains: list[set[int]] = []
-    for foot in range(len(_feet(env))):
+    for foot in range(register.count_measures(env)):
         chain = set[int]()
         for link in np.unique(body.link[body.foot == foot]):
             number = int(link) + 1  # MuJoCo's body 0 is the world

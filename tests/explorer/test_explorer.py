@@ -13,16 +13,15 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import qdil
-from qdil.runs.folder import read_archive, read_config
 from qdil.config import make_config, to_json
 from qdil.errors import ConfigError
 from qdil.explorer import compare, drawing, film, page, rollouts, showcase, shown
 from qdil.explorer.pack import pack, unpack
 from qdil.explorer.rollouts import Rollout
-from qdil.engine.phases import template_of
-from qdil.robots import brax_robots, shapes
-from qdil.rl import evaluate
+from qdil.rl import evaluate, networks
 from qdil.rl.evaluate import Policies
+from qdil.robots import brax_robots, register, shapes
+from qdil.runs.folder import read_archive, read_config
 
 CELLS = [0, 6, 7, 12, 18, 23]
 
@@ -66,14 +65,13 @@ def test_a_robot_that_leaps_too_far_is_refused():
 
 
 def test_rollouts_agree_with_the_evaluation_that_fills_archives(folder):
-    """The same policies, start and steps as ``search.evaluate`` takes give the same return, length and measures."""
+    """The same policies, start and steps as ``rl.evaluate`` takes give the same return, length and measures."""
     config, archive = read_config(folder), read_archive(folder, policies=True)
     policies = Policies(*(archive[name] for name in ("solution", "obs_mean", "obs_std")))
     played = rollouts.play(config, policies)
-    settings = make_config("walker2d", "true", "smoke", 1)
-    env = brax_robots.make("walker2d")
-    like = template_of(settings.__class__(**{**settings.__dict__, "actor_hidden": (8, 8)}), env)
-    pieces = evaluate.episodes(env, like, 1, config["episode_length"], 60, 1, len(CELLS), sample_actions=False)
+    env = register.make("walker2d")
+    template = networks.template_of(env.obs_size, env.action_size, (8, 8))
+    pieces = evaluate.episodes(env, template, 1, config["episode_length"], 60, 1, len(CELLS), sample_actions=False)
     envs, tally = pieces.begin(jax.random.split(jax.random.key(0), (len(CELLS), 1)))
     begin = jax.vmap(env.reset)(jax.numpy.broadcast_to(jax.random.key(0), (len(CELLS),)))
     _, tally, *_ = jax.jit(pieces.advance)(policies, envs._replace(robot=begin), tally)
@@ -147,7 +145,7 @@ def test_spread_out_cells_begin_with_the_best_and_are_all_different(folder):
 
 
 def test_legs_are_what_only_one_foot_hangs_on():
-    model = brax_robots.model("humanoid")
+    model = brax_robots.model(register.find("humanoid"))
     names = np.array([model.body(i + 1).name for i in range(model.nbody - 1)])
     leg = shown.legs("humanoid")
     assert set(names[leg == 0]) == {"right_thigh", "right_shin"}

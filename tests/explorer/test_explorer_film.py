@@ -9,10 +9,10 @@ import pytest
 from PIL import Image
 
 import qdil
-from qdil.runs.folder import read_archive
 from qdil.config import make_config, to_json
 from qdil.explorer import drawing, film
 from qdil.explorer.rollouts import Rollout
+from qdil.runs.folder import read_archive
 
 CELLS = [0, 6, 7, 12, 18, 23]
 
