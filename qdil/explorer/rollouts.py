@@ -13,7 +13,7 @@ from qdil.rl.evaluate import Policies
 from qdil.rl.rollout import where_each
 from qdil.robots import register
 from qdil.robots.environment import RobotState
-from qdil.types import ObsStats
+from qdil.types import Normaliser
 
 BATCH = 4  # episodes simulated together, as many as the explorer shows: one compiled program serves every call
 CHUNK = 100  # steps per call of the compiled program: no call follows once every robot has fallen
@@ -104,9 +104,8 @@ def _player(name: str, backend: str, hidden: Sequence[int]) -> tuple[_Player, _S
     template = networks.template_of(env.obs_size, env.action_size, hidden)
 
     def act(policy: Policies, obs: jax.Array) -> jax.Array:
-        unused = jnp.zeros_like(policy.obs_mean)
-        stats = ObsStats(policy.obs_mean, policy.obs_std, unused, unused)
-        return networks.policy_mean(networks.unflatten(policy.theta, template), stats, obs)
+        normaliser = Normaliser(policy.obs_mean, policy.obs_std)
+        return networks.policy_mean(networks.unflatten(policy.theta, template), normaliser, obs)
 
     def advance(policies: Policies, robot: RobotState, alive: jax.Array):
         def step(carry, _):

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from functools import partial
 
 import explorer_runs
 import jax
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import qdil
-from qdil.config import make_config, to_json
+from qdil.config import Evaluation, make_config, to_json
 from qdil.errors import ConfigError
 from qdil.explorer import compare, drawing, film, page, rollouts, showcase, shown
 from qdil.explorer.pack import pack, unpack
@@ -24,6 +25,7 @@ from qdil.robots import brax_robots, register, shapes
 from qdil.runs.folder import read_archive, read_config
 
 CELLS = [0, 6, 7, 12, 18, 23]
+pytestmark = pytest.mark.physics
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +73,12 @@ def test_rollouts_agree_with_the_evaluation_that_fills_archives(folder):
     played = rollouts.play(config, policies)
     env = register.make("walker2d")
     template = networks.template_of(env.obs_size, env.action_size, (8, 8))
-    pieces = evaluate.episodes(env, template, 1, config["episode_length"], 60, 1, len(CELLS), sample_actions=False)
-    envs, tally = pieces.begin(jax.random.split(jax.random.key(0), (len(CELLS), 1)))
+    settings = Evaluation(episodes=1, sample_actions=False, eval_chunk_steps=60, eval_batch_size=len(CELLS))
+    envs, tally = evaluate.begin(env, jax.random.split(jax.random.key(0), (len(CELLS), 1)), config["episode_length"])
     begin = jax.vmap(env.reset)(jax.numpy.broadcast_to(jax.random.key(0), (len(CELLS),)))
-    _, tally, *_ = jax.jit(pieces.advance)(policies, envs._replace(robot=begin), tally)
+    _, tally, *_ = jax.jit(partial(evaluate.advance, env, template, settings))(
+        policies, envs._replace(robot=begin), tally
+    )
     np.testing.assert_array_equal([len(one.reward) for one in played], tally.length)
     np.testing.assert_allclose([one.reward.sum() for one in played], tally.true_return, rtol=2e-3)
     np.testing.assert_allclose([one.contact.sum(0) for one in played], tally.proxy_sum, atol=1)

@@ -15,6 +15,7 @@ from qdil.explorer.rollouts import Rollout
 from qdil.runs.folder import read_archive
 
 CELLS = [0, 6, 7, 12, 18, 23]
+pytestmark = pytest.mark.physics
 
 
 @pytest.fixture(scope="module")

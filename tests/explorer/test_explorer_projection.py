@@ -82,6 +82,7 @@ SQUARES = """cases => cases.map(({ dims, axes, elites, squares }) => {
 })"""
 
 
+@pytest.mark.physics
 @needs_browser
 @pytest.mark.parametrize("k", [1, 2, 3, 4])
 def test_the_front_end_projects_as_python_does(browser, k):
@@ -131,6 +132,7 @@ def map_at(history, k, iteration, axes, field):
     return grid
 
 
+@pytest.mark.physics
 @needs_browser
 @pytest.mark.parametrize("k", [1, 2, 3, 4])
 def test_maps_of_any_iteration_and_their_differences_are_those_of_a_loop(browser, k):

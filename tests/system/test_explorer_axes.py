@@ -9,7 +9,7 @@ import qdil
 from qdil.explorer import projection
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 
 SIDE = 4
 

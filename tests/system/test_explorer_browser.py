@@ -3,6 +3,7 @@
 import os
 
 import explorer_runs
+import pytest
 from explorer_browser import (
     BEST,
     centre,
@@ -18,7 +19,7 @@ from explorer_browser import (
 import qdil
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 
 
 def test_a_page_plays_what_is_clicked(opened, runs):

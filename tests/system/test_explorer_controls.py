@@ -9,7 +9,7 @@ from explorer_browser import BEST, click, drawn, labels, needs_browser, script, 
 import qdil
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 
 ROBOTS = "document.querySelector('.qdil-robots').toDataURL()"
 

@@ -15,7 +15,7 @@ import qdil
 from qdil.explorer import READER_VARIABLES
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 LOCAL = {"mathjax_url": "", "require_js_url": ""}  # what a page of nbconvert's would otherwise load from elsewhere
 
 
