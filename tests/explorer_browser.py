@@ -1,4 +1,4 @@
-"""What the explorer's tests in a browser share: the browser, runs to show, JupyterLab, and hands to click with."""
+"""What the explorer's tests in a browser share: the browser, runs to show, JupyterLab, and ways to click and wait."""
 
 import os
 import shutil
@@ -32,7 +32,7 @@ class Watched:
 
     def __init__(self, page):
         self.page, self.complaints, self.strangers = page, [], []
-        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        page.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", self._request)
 

@@ -118,7 +118,7 @@ def _checked(shown: Shown) -> Shown:
     if env not in register.robot_names():
         raise ConfigError(f"'{shown.name}' is of the unknown robot '{env}'.")
     if shown.k != register.count_measures(env):
-        raise ConfigError(f"'{shown.name}' has {shown.k} measures; {env} has {register.count_measures(env)}.")
+        raise ConfigError(f"measures of '{shown.name}': {shown.k}; of {env}: {register.count_measures(env)}.")
     if shown.plays and robot(env) is None:
         return shown._replace(why=f"the robot {env} has no shapes to draw")
     return shown

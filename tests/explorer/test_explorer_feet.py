@@ -44,17 +44,18 @@ def test_every_foot_has_its_contacts_shapes_and_leg(runs, env):
     for foot in range(ROBOTS[env]):
         assert set(shown.legs(env)[body.link[body.foot == foot]]) == {foot}
     assert shown.legs(env)[0] == -1  # the torso
-    told = shown.content([one])
-    assert told["robot"]["feet"] == one.feet and told["runs"][0]["feet"] == one.feet
+    content = shown.content([one])
+    assert content["robot"]["feet"] == one.feet and content["runs"][0]["feet"] == one.feet
 
 
 @pytest.mark.physics
 @pytest.mark.parametrize("env", ROBOTS)
 def test_films_and_pictures_show_every_foot(runs, env, tmp_path):
-    path = qdil.render(runs[env], 2, tmp_path / "gait.png", width=64)
+    cells = some_cells(ROBOTS[env])[:2]
+    path = qdil.render(runs[env], cells, tmp_path / "gait.png", width=64)
     with Image.open(path) as strip:
         assert strip.height == 2 * (46 + 64 + 10 + 12 * ROBOTS[env])
-    assert qdil.render(runs[env], 1, tmp_path / "gait.gif", speed=4, width=64).is_file()
+    assert qdil.render(runs[env], cells, tmp_path / "gait.gif", speed=4, width=64).is_file()
     explored = qdil.explore(runs[env], live=False)
     with Image.open(io.BytesIO(picture.picture(explored.runs, explored.state))) as drawn:
         colours = set(map(tuple, np.asarray(drawn.convert("RGB")).reshape(-1, 3)))
@@ -109,7 +110,7 @@ def test_archives_of_other_or_of_too_many_measures_are_refused():
 
 def test_an_archive_that_is_not_its_robots_is_refused(runs):
     archive = read_archive(runs["hopper"])
-    with pytest.raises(ConfigError, match="'archive' has 1 measures; ant has 4"):
+    with pytest.raises(ConfigError, match="measures of 'archive': 1; of ant: 4"):
         qdil.explore(archive, {"env": "ant"})
 
 

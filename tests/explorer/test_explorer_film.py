@@ -1,4 +1,4 @@
-"""Films: of archives in memory, of chosen numbers, their strips, and what a coder that gives up says."""
+"""Films: of archives in memory, of chosen numbers, their strips, and the error of a coder that gives up."""
 
 import sys
 
