@@ -34,24 +34,13 @@ class Unpacked(NamedTuple):
 def pack(rollout: Rollout) -> bytes:
     """``rollout`` as bytes. Raises ValueError for a robot that moves more than 32 metres from one frame to the next."""
     stride = max(1, int(np.ceil(1 / (rollout.seconds * FRAMES_PER_SECOND) - 1e-6)))
-    position, rotation = rollout.position[::stride].astype(np.float64), _continuous(rollout.rotation[::stride])
-    root = position[:, :1]
-    channels = np.concatenate(
-        [
-            np.rint(root / POSITION_UNIT).reshape(len(root), -1),
-            np.rint((position[:, 1:] - np.rint(root / POSITION_UNIT) * POSITION_UNIT) / POSITION_UNIT).reshape(
-                len(root), -1
-            ),
-            np.rint(rotation / ROTATION_UNIT).reshape(len(root), -1),
-        ],
-        axis=1,
-    )
+    channels = _channels(rollout.position[::stride].astype(np.float64), _continuous(rollout.rotation[::stride]))
     low, high = float(rollout.reward.min()), float(rollout.reward.max())
     unit = (high - low) / REWARD_LEVELS or 1.0
     header = {
         "steps": len(rollout.reward),
-        "frames": len(position),
-        "links": position.shape[1],
+        "frames": len(channels),
+        "links": rollout.position.shape[1],
         "feet": rollout.contact.shape[1],
         "stride": stride,
         "seconds": rollout.seconds,
@@ -91,6 +80,14 @@ def unpack(content: bytes) -> Unpacked:
         header["seconds"],
         header["fell"],
     )
+
+
+def _channels(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """(F, 7 L) whole numbers: positions (F, L, 3), of all links but the first from the first, then rotations."""
+    frames, root = len(position), np.rint(position[:, :1] / POSITION_UNIT)
+    others = np.rint((position[:, 1:] - root * POSITION_UNIT) / POSITION_UNIT)
+    parts = [root, others, np.rint(rotation / ROTATION_UNIT)]
+    return np.concatenate([part.reshape(frames, -1) for part in parts], axis=1)
 
 
 def _continuous(rotation: np.ndarray) -> np.ndarray:

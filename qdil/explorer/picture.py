@@ -38,16 +38,8 @@ def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
         right.text(0.5, 0.5, shown.why or "no cell chosen", ha="center")
         return to_png(figure)
     row = int(np.flatnonzero(index == cells[0])[0])
-    _scatter(
-        ax,
-        shown.archive["measures"][[row]],
-        axes_shown,
-        marker="s",
-        s=110,
-        facecolors="none",
-        edgecolors="black",
-        linewidths=2,
-    )
+    measures = np.asarray(shown.archive["measures"])[[row]]
+    _scatter(ax, measures, axes_shown, marker="s", s=110, fc="none", ec="black", lw=2)
     rollout = showing.roll_out(shown, cells[:1])[0]
     axes = right.subplot_mosaic([list(range(MOMENTS)), ["gait"] * MOMENTS], height_ratios=[3, 1])
     _moments(shown, rollout, [axes[i] for i in range(MOMENTS)])
