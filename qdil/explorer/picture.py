@@ -1,26 +1,23 @@
 """The still picture of the explorer for places without scripts: the map, and moments of one robot's episode."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure, SubFigure
 from PIL import Image
 
 from qdil.explorer import drawing, film
 from qdil.explorer import shown as showing
-from qdil.explorer.projection import project
 from qdil.explorer.rollouts import Rollout
 from qdil.explorer.shown import Shown
 from qdil.plotting import heatmap, to_png
-from qdil.plotting.colours import EMPTY, RED
+from qdil.plotting.colours import RED
+from qdil.plotting.measures import STRIP
 
 WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches, inches, dots per inch: the size of the live frame over the picture
-STRIP = 0.16  # height of a strip of cells, in its widths
 MOMENTS = 3
 SKETCH, SKETCH_COLOURS = 4.6, 200  # inches across; few colours keep the file small
 
@@ -64,11 +61,8 @@ def sketch(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
 def _map(shown: Shown, axes: Sequence[int], figure: Figure | SubFigure) -> Axes:
     """The archive over one or two of its ``axes``, with its demonstrators and its colour bar."""
     ax = figure.subplots()
-    seen = project(shown.archive, axes)
-    drawn: ScalarMappable = _strip(seen, ax) if len(axes) == 1 else heatmap(seen, ax, colour_bar=False)
-    ax.set_xlabel(_measure_label(shown, axes[0]))
-    if len(axes) > 1:
-        ax.set_ylabel(_measure_label(shown, axes[1]))
+    env = shown.config["env"] if shown.config else None
+    drawn = heatmap(shown.archive, ax, robot=env, colour_bar=False, plane=tuple(axes))
     bar = figure.colorbar(drawn, ax=ax, location="bottom", shrink=0.9)
     others = ", ".join(foot for axis, foot in enumerate(shown.feet) if axis not in axes)
     best = f"\nbest elite over the other feet ({others})" if others else ""
@@ -79,30 +73,10 @@ def _map(shown: Shown, axes: Sequence[int], figure: Figure | SubFigure) -> Axes:
     return ax
 
 
-def _measure_label(shown: Shown, axis: int) -> str:
-    foot = f"foot {axis + 1}"
-    name = f" ({shown.feet[axis]})" if shown.feet[axis] != foot else ""
-    return f"share of time {foot}{name}\ntouches the ground"
-
-
-def _strip(archive: Mapping[str, np.ndarray], ax: Axes) -> ScalarMappable:
-    """An archive of one measure as a row of cells, coloured by the true return."""
-    count = int(archive["cells"][0])
-    values = np.full(count, np.nan)
-    values[archive["index"]] = archive["true_return"]
-    colours = colormaps["viridis"].with_extremes(bad=EMPTY)
-    edges = np.linspace(0, 1, count + 1)
-    mesh = ax.pcolormesh(
-        edges, [0, 1], np.ma.masked_invalid(values[None]), cmap=colours, edgecolor="white", linewidth=0.5
-    )
-    ax.set(xlim=(0, 1), ylim=(0, 1), yticks=[], aspect=STRIP)
-    return mesh
-
-
 def _scatter(ax: Axes, measures: np.ndarray, axes: Sequence[int], **style: Any) -> None:
     """Marks at ``measures`` (n, k) on the map of ``axes``; in the middle of a strip's height."""
     x = measures[:, axes[0]]
-    y = measures[:, axes[1]] if len(axes) > 1 else np.full(len(x), 0.5)
+    y = measures[:, axes[1]] if len(axes) > 1 else np.full(len(x), STRIP / 2)
     ax.scatter(x, y, **style)
 
 

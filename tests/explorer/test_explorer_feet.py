@@ -148,7 +148,7 @@ def test_the_still_map_shows_the_projection(k, axes):
     drawn = np.ma.filled(ax.collections[0].get_array().astype(float), np.nan).reshape(-1)
     across_first = expected.reshape([2] * len(axes)).T.reshape(-1)  # a picture's rows are the second axis
     np.testing.assert_allclose(drawn, across_first)
-    assert ax.get_xlabel() == f"share of time foot {axes[0] + 1}\ntouches the ground"
+    assert f"foot {axes[0] + 1}" in ax.get_xlabel()
     label = figure.axes[1].get_xlabel()
     others = [f"foot {axis + 1}" for axis in range(k) if axis not in axes]
     assert (f"best elite over the other feet ({', '.join(others)})" in label) == bool(others)
