@@ -64,8 +64,8 @@ def _map(shown: Shown, axes: Sequence[int], figure: Figure | SubFigure) -> Axes:
     env = shown.config["env"] if shown.config else None
     drawn = heatmap(shown.archive, ax, robot=env, colour_bar=False, plane=tuple(axes))
     bar = figure.colorbar(drawn, ax=ax, location="bottom", shrink=0.9)
-    others = ", ".join(foot for axis, foot in enumerate(shown.feet) if axis not in axes)
-    best = f"\nbest elite over the other feet ({others})" if others else ""
+    others = shown.k - len(axes)
+    best = f"\nbest elite over the other {f'{others} feet' if others > 1 else 'foot'}" if others else ""
     bar.set_label(f"true return per episode (reward units)\ngrey: empty cell{best}")
     ax.set_title(shown.name)
     if len(shown.demonstrators):
