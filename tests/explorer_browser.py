@@ -1,4 +1,4 @@
-"""What the explorer's tests in a browser share: the browser, runs to show, JupyterLab, and hands to click with."""
+"""What the explorer's tests in a browser share: the browser, runs to show, JupyterLab, and ways to click and wait."""
 
 import os
 import shutil
@@ -13,8 +13,11 @@ import explorer_runs
 import nbformat
 import pytest
 
+import qdil
+
 CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a graphics card
+SOURCES = Path(qdil.__file__).parent / "explorer" / "frontend" / "src"
 BEST = 23  # the last of the cells below has the highest return
 
 # Where QDIL_REQUIRE_BROWSER is set, as where every change is checked, a browser that is missing is a failure.
@@ -29,7 +32,7 @@ class Watched:
 
     def __init__(self, page):
         self.page, self.complaints, self.strangers = page, [], []
-        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        page.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", self._request)
 
@@ -89,6 +92,13 @@ def wait_for(frame, state, count=1, timeout=120_000):
         arg=[state, count],
         timeout=timeout,
     )
+
+
+def script(page, exposed: str, *names: str) -> None:
+    """Let a page call what the front end's own files define: ``exposed`` of ``names``, without their imports."""
+    lines = [line for name in names for line in (SOURCES / name).read_text().splitlines() if line[:7] != "import "]
+    page.add_script_tag(type="module", content="\n".join([*lines, f"globalThis.q = {{ {exposed} }};"]))
+    page.wait_for_function("globalThis.q")
 
 
 def two_pictures(frame):

@@ -1,4 +1,4 @@
-"""Small finished runs for the explorer's tests: policies that were never trained, measures spread over the square."""
+"""Small finished runs for the explorer's tests: policies that were never trained, measures spread over the grid."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 
 from qdil.config import make_config, to_json
 from qdil.rl import networks
-from qdil.robots import brax_robots
+from qdil.robots import register
 
 CELLS = 5
 
@@ -16,7 +16,7 @@ CELLS = 5
 def policies(
     count: int, env: str = "walker2d", hidden: tuple[int, ...] = (8, 8), seed: int = 0
 ) -> dict[str, np.ndarray]:
-    robot = brax_robots.make(env)
+    robot = register.make(env)
     keys = jax.random.split(jax.random.key(seed), count)
     made = [networks.flatten(networks.init_policy(key, robot.obs_size, robot.action_size, hidden, 1.0)) for key in keys]
     theta = np.array(made) * np.linspace(1, 40, count)[:, None]  # the mean action's last layer is small at first
@@ -28,34 +28,41 @@ def policies(
     }
 
 
-def archive(cells: list[int], seed: int = 0, side: int = CELLS) -> dict[str, np.ndarray]:
-    """Elites in the middle of ``cells`` (numbers, ascending) of a ``side`` × ``side`` grid; returns tell them apart."""
+def archive(cells: list[int], seed: int = 0, side: int = CELLS, k: int = 2) -> dict[str, np.ndarray]:
+    """Elites in the middle of ``cells`` (numbers, ascending) of a grid of ``side``^k; returns grow with the number."""
     index = np.array(cells, np.int32)
     draw = np.random.default_rng(seed)
-    measures = (np.stack([index // side, index % side], axis=1) + 0.5) / side
+    measures = (np.stack(np.unravel_index(index, [side] * k), axis=1) + 0.5) / side
     return {
         "index": index,
         "measures": measures.astype(np.float32),
         "fitness": draw.uniform(0, 100, len(index)).astype(np.float32),
         "true_return": (100 + 10.25 * index).astype(np.float32),
         "length": np.full(len(index), 40, np.float32),
-        "cells": np.array([side, side]),
+        "cells": np.array([side] * k),
     }
 
 
 def write(
-    folder: Path, cells: list[int], method: str = "true", with_policies: bool = True, seed: int = 0, side: int = CELLS
+    folder: Path,
+    cells: list[int],
+    method: str = "true",
+    with_policies: bool = True,
+    seed: int = 0,
+    side: int = CELLS,
+    env: str = "walker2d",
+    k: int = 2,
 ) -> Path:
     """A finished run in ``folder`` as ``qdil train`` would have left it."""
     folder.mkdir(parents=True)
-    settings = to_json(make_config("walker2d", method, "smoke", 1))
+    settings = to_json(make_config(env, method, "smoke", 1))
     settings |= {"actor_hidden": [8, 8], "episode_length": 60}
     (folder / "config.json").write_text(json.dumps(settings))
     (folder / "manifest.json").write_text("{}")
-    kept = archive(cells, seed, side)
+    kept = archive(cells, seed, side, k)
     np.savez(folder / "archive.npz", **kept)
     if with_policies:
-        np.savez(folder / "policies.npz", index=kept["index"], **policies(len(cells), seed=seed))
+        np.savez(folder / "policies.npz", index=kept["index"], **policies(len(cells), env, seed=seed))
     return folder
 
 

@@ -1,4 +1,4 @@
-"""What the explorer shows in colours, in numbers: archives against the first of them, and fitness against return."""
+"""The explorer's comparisons in numbers: archives against the first one, and learned fitness against true return."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,10 +9,11 @@ from scipy.stats import spearmanr
 
 
 def with_first(archives: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """A row for each archive: its filled cells, those of them that the first archive lacks, and true returns.
+    """A row for each archive: its filled cells, how many of them are empty in the first archive, and true returns.
 
-    "better where both" is the percentage of shared cells with the higher return, "mean gap" the mean difference there
-    (reward units per episode). Archives as ``run.read_archive`` gives them, with equal grids.
+    "better where both" is the percentage of cells filled in both where this archive has the higher return; "mean gap"
+    is the mean difference there (reward units per episode). Archives are as ``read_archive`` returns them, with equal
+    grids.
     """
     first = next(iter(archives.values()))
     rows = {}
@@ -29,7 +30,7 @@ def with_first(archives: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def rank_correlation(archives: Mapping[str, Mapping[str, Any]]) -> pd.Series:
-    """Spearman's correlation of learned fitness and true return over an archive's elites; needs two of them."""
+    """Spearman's correlation of learned fitness and true return over the elites of each archive with two or more."""
     several = {name: archive for name, archive in archives.items() if len(archive["index"]) > 1}
     found = {name: spearmanr(one["fitness"], one["true_return"]).statistic for name, one in several.items()}
     return pd.Series(found, name="rank correlation of learned fitness and true return").round(2)

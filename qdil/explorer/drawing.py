@@ -1,4 +1,4 @@
-"""Robots drawn in NumPy: every pixel's ray against capsules and ground, lit by one lamp. Needs no graphics hardware."""
+"""Robots drawn in NumPy, without OpenGL: every pixel's ray against capsules and ground, lit by one lamp."""
 
 from typing import NamedTuple
 
@@ -9,8 +9,13 @@ from qdil.robots.shapes import Pose, Shapes
 
 SKY, BODY = np.array([238, 242, 246], np.float32), np.array([154, 163, 178], np.float32)
 TILES = np.array([[217, 221, 226], [195, 201, 209]], np.float32)
-LEGS = np.array([[125, 107, 79], [95, 127, 150]], np.float32)
-FEET = np.array([[230, 159, 0], [86, 180, 233]], np.float32)  # while they touch the ground
+# Okabe and Ito's colours for up to six feet while they touch the ground, and their legs', as in ``colours.js``.
+FEET = np.array(
+    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [213, 94, 0], [0, 114, 178], [204, 121, 167]], np.float32
+)
+LEGS = np.array(
+    [[125, 107, 79], [95, 127, 150], [79, 122, 107], [138, 100, 80], [79, 102, 128], [134, 105, 122]], np.float32
+)
 LAMP = np.array([-0.29, -0.48, 0.83], np.float32)  # towards the light
 OPENING = np.deg2rad(32.0)  # the camera's vertical angle of view
 RING = (0.16, 0.21)  # metres: radii of the ring under a foot that touches the ground
@@ -19,9 +24,9 @@ FINER = 2  # rays per pixel and direction
 
 
 class View(NamedTuple):
-    """Where the camera stands, around the robot; angles in radians."""
+    """The camera's place around the robot; angles in radians."""
 
-    azimuth: float = -np.pi / 2 + 0.35  # from behind 0, from the right -π/2
+    azimuth: float = -np.pi / 2 + 0.35  # 0: from behind; -π/2: from the right
     elevation: float = 0.16
     distance: float = 2.7  # in sizes of the robot
 
@@ -35,24 +40,26 @@ class Scene(NamedTuple):
     rings: np.ndarray  # (R, 5): x, y of a touching foot and its colour
 
 
-def scene(robot: Shapes, side: np.ndarray, pose: Pose, touching: np.ndarray) -> Scene:
-    """A robot in ``pose``: ``side`` (L,) as ``shown.legs`` gives it, ``touching`` (k,) bool, which feet are lit."""
+def scene(robot: Shapes, leg: np.ndarray, pose: Pose, touching: np.ndarray) -> Scene:
+    """A robot in ``pose``. ``leg`` (L,) is from ``shown.legs``; ``touching`` (k,) bool says which feet to light."""
     ends = shapes.placed(robot, pose).astype(np.float32)
-    of_leg = side[robot.link]
-    colour = np.where((of_leg >= 0)[:, None], LEGS[of_leg % 2], BODY)
+    of_leg = leg[robot.link]
+    colour = np.where((of_leg >= 0)[:, None], LEGS[of_leg % len(LEGS)], BODY)
     rings = []
     for foot in np.flatnonzero(touching):
-        mine = np.flatnonzero(robot.foot == foot)
-        colour[mine] = FEET[foot % 2]
-        middles = ends[mine].mean(axis=1)
-        rings.append([*middles[np.argmin(middles[:, 2]), :2], *FEET[foot % 2]])
+        capsules = np.flatnonzero(robot.foot == foot)
+        if not len(capsules):
+            continue  # a foot of another shape, which is not drawn
+        colour[capsules] = FEET[foot % len(FEET)]
+        middles = ends[capsules].mean(axis=1)
+        rings.append([*middles[np.argmin(middles[:, 2]), :2], *FEET[foot % len(FEET)]])
     return Scene(ends, robot.radius.astype(np.float32), colour, np.reshape(rings, (-1, 5)).astype(np.float32))
 
 
 def image(
     what: Scene, target: np.ndarray, size: float, width: int, height: int, view: View | None = None
 ) -> np.ndarray:
-    """(height, width, 3) uint8: ``what`` as a camera sees it that looks at ``target`` (3,); ``size`` of the robot."""
+    """(height, width, 3) uint8: ``what`` seen by a camera that looks at ``target`` (3,); ``size`` of the robot (m)."""
     camera = _camera(np.asarray(target, np.float32), size, width * FINER, height * FINER, view or View())
     colour = _ground(what, camera, size)
     nearest = np.full(camera.rays.shape[:2], np.inf, np.float32)
@@ -95,7 +102,7 @@ def _camera(target: np.ndarray, size: float, width: int, height: int, view: View
 
 
 def _block(camera: _Camera, corners: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of the picture that hold everything between ``corners`` (N, 3); all where one is behind."""
+    """Rows and columns of the picture that hold the hull of ``corners`` (N, 3); all of them if a corner is behind."""
     height, width = camera.rays.shape[:2]
     right, up, ahead = camera.axes @ (corners - camera.eye).T
     if ahead.min() < 0.05:
@@ -107,9 +114,9 @@ def _block(camera: _Camera, corners: np.ndarray) -> tuple[slice, slice]:
 
 
 def _hit(origin: np.ndarray, rays: np.ndarray, ends: np.ndarray, radius: float) -> np.ndarray:
-    """Distance (...) along unit ``rays`` (..., 3) from ``origin`` ((3,) or (..., 3)) to a capsule; infinity if missed.
+    """Distance (...) along unit ``rays`` (..., 3) from ``origin`` ((3,) or (..., 3)) to a capsule; infinite if missed.
 
-    On the side of its cylinder where that lies between the ends, otherwise on the ball around one of them.
+    A ray hits the cylinder where the hit lies between the two ends, otherwise the ball around one end.
     """
     axis, start = ends[1] - ends[0], origin - ends[0]
     long, drift, offset = axis @ axis, rays @ axis, start @ axis
@@ -169,17 +176,17 @@ def _ground(what: Scene, camera: _Camera, size: float) -> np.ndarray:
 
 
 def _below(block: tuple[slice, slice], first: int) -> tuple[slice, slice]:
-    """A block's rows counted from row ``first`` on."""
+    """The same block with rows counted from row ``first``."""
     rows, columns = block
     return slice(max(rows.start - first, 0), max(rows.stop - first, 0)), columns
 
 
 def _shaded(what: Scene, camera: _Camera, points: np.ndarray, below: int) -> np.ndarray:
-    """Which ground ``points`` (H', W, 2), seen from row ``below`` on, the robot keeps the lamp from."""
+    """(H', W) bool: the ground ``points`` (H', W, 2), from row ``below`` on, that lie in the robot's shadow."""
     dark = np.zeros(points.shape[:2], bool)
     lamp = LAMP / np.linalg.norm(LAMP)
     for ends, radius in zip(what.ends, what.radius, strict=True):
-        cast = ends - ends[:, 2:] / lamp[2] * lamp  # where the lamp throws the ends
+        cast = ends - ends[:, 2:] / lamp[2] * lamp  # the shadows of the ends on the ground
         reach = radius / lamp[2]
         corners = [end + [dx, dy, 0] for end in cast for dx in (-reach, reach) for dy in (-reach, reach)]
         block = _below(_block(camera, np.array(corners)), below)

@@ -41,12 +41,12 @@ def render(
 ) -> Path:
     """Draw the episodes of some elites of a run, side by side and in step, into ``path``; returns it.
 
-    ``runs``: a run as ``explore`` takes it (of several, the first). ``cells``: numbers of cells, at most four; or how
-    many to choose, among the best fifth and as different as possible, as demonstrators are. ``path`` ends in ``.mp4``,
-    ``.gif`` (both at ``speed`` times real time) or ``.png`` (a row of moments for each cell, out of the middle second).
-    ``width``: pixels of a robot's picture. Below each robot: which feet touch the ground, over the episode of a film,
-    over the second of a row. ``config``: the settings of an archive in memory. Nothing needs a GPU or a screen.
-    Raises ConfigError for another suffix, cells that are empty or too many, and runs without policies.
+    ``runs``: a run as for ``explore`` (of several, the first). ``cells``: at most four cell numbers; or how many cells
+    to choose among the best fifth, as different as possible, as for demonstrators. ``path`` ends in ``.mp4`` or
+    ``.gif`` (at ``speed`` times real time), or in ``.png`` (for each cell a row of moments from the middle second).
+    ``width``: pixels of a robot's picture. Bars below each robot show when each of its k feet touches the ground.
+    ``config``: the settings of an archive in memory. Nothing needs a GPU or a screen. Raises ConfigError for another
+    suffix, for empty or too many cells, and for runs without policies or without shapes to draw.
     """
     path, shown = Path(path), showing.read(runs, config)[0]
     writers: dict[str, Callable[[Shown, list[int], Path, float, int], None]] = {
@@ -78,10 +78,11 @@ def choose(shown: Shown, count: int) -> list[int]:
 
 
 def still(shown: Shown, rollout: Rollout, step: int, width: int, height: int) -> np.ndarray:
-    """(height, width, 3) uint8: the robot in step ``step`` of an episode; after its end, its last pose."""
+    """(height, width, 3) uint8: the robot at ``step`` of an episode; after the end, its last pose."""
     assert shown.config is not None
     env, step = shown.config["env"], min(step, len(rollout.reward) - 1)
     about = showing.robot(env)
+    assert about is not None  # or the run would not play
     pose = Pose(rollout.position[step], rollout.rotation[step])
     what = drawing.scene(shapes.shapes(env), showing.legs(env), pose, rollout.contact[step])
     torso = rollout.position[step, 0]
@@ -90,7 +91,7 @@ def still(shown: Shown, rollout: Rollout, step: int, width: int, height: int) ->
 
 
 def _frames(shown: Shown, cells: list[int], speed: float, width: int, rate: int) -> Iterator[np.ndarray]:
-    """Pictures of all robots in step, ``rate`` a second, until the longest episode ends and half a second more."""
+    """Pictures of all robots in step, ``rate`` per second, until half a second after the longest episode."""
     rollouts = showing.roll_out(shown, cells)
     below = [_gait(rollout, max(len(r.reward) for r in rollouts), width) for rollout in rollouts]
     heads = [_head(shown, cell, width) for cell in cells]
@@ -108,7 +109,7 @@ def _frames(shown: Shown, cells: list[int], speed: float, width: int, rate: int)
 
 def _gif(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -> None:
     pictures = [Image.fromarray(frame) for frame in _frames(shown, cells, speed, width, GIF_RATE)]
-    # One palette for all, of pictures from the whole film, so that colours do not flicker.
+    # One palette, from pictures of the whole film: colours then do not flicker.
     sample = np.concatenate([np.asarray(picture) for picture in pictures[:: max(1, len(pictures) // 8)]])
     palette = Image.fromarray(sample).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
     first, *others = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
@@ -125,7 +126,7 @@ def _mp4(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
     frames = (
         frame[: len(frame) - len(frame) % 2] for frame in _frames(shown, cells, speed, width - width % 2, MP4_RATE)
     )
-    first = next(frames)  # even numbers of pixels: the coding halves the resolution of colours
+    first = next(frames)  # even width and height: the coder halves the resolution of colours
     size = f"{first.shape[1]}x{first.shape[0]}"
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(MP4_RATE), "-i", "-"]
     wanted = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "23", "-movflags", "faststart"]
@@ -134,25 +135,25 @@ def _mp4(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as coder:
             assert coder.stdin is not None and coder.stderr is not None
             _feed(coder.stdin, itertools.chain([first], frames))
-            said = coder.stderr.read().decode()
+            complaint = coder.stderr.read().decode()
         if coder.returncode:
-            raise OSError(f"the film could not be coded: {said.strip()}")
+            raise OSError(f"the film could not be coded: {complaint.strip()}")
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
 
 
 def _feed(pipe: IO[bytes], frames: Iterable[np.ndarray]) -> None:
-    """Write frames until the coder no longer reads: then it has said why, and that is the error to tell."""
+    """Write frames until the coder stops reading; its own error message then explains the failure."""
     with contextlib.suppress(BrokenPipeError), pipe:
         for frame in frames:
             pipe.write(frame.tobytes())
 
 
 def _png(shown: Shown, cells: list[int], path: Path, speed: float, width: int) -> None:
-    """A row per cell: moments of the middle second of its episode (or of all of it, if it is shorter).
+    """A row per cell: moments of the middle second of its episode, or of a whole shorter episode.
 
-    Below them, the feet on the ground in that second: a mark for each moment stands under its picture.
+    Bars below show the feet on the ground in that second, with a mark under each picture for its moment.
     """
     rows = []
     for cell, rollout in zip(cells, showing.roll_out(shown, cells), strict=True):
@@ -177,25 +178,36 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 
 
 def _head(shown: Shown, cell: int, width: int, about: str = "") -> np.ndarray:
-    """(46, width, 3): what a robot's return is and how long its feet are on the ground; ``about`` the rest."""
-    assert shown.config is not None
+    """(46, width, 3): a robot's return, and the share of time that each foot is on the ground; then ``about``."""
     row = int(np.flatnonzero(np.asarray(shown.archive["index"]) == cell)[0])
-    first, second = (round(100 * float(share)) for share in shown.archive["measures"][row])
+    shares = [round(100 * float(share)) for share in shown.archive["measures"][row]]
     picture = Image.new("RGB", (width, 46), "white")
     pen = ImageDraw.Draw(picture)
     pen.text((8, 5), f"return {shown.archive['true_return'][row]:.0f}", TEXT, _font(14))
-    pen.text((8, 25), f"feet on the ground {first} %, {second} %{about}", TEXT, _font(11))
+    pen.text((8, 25), f"{_shares_text(shares)}{about}", TEXT, _font(11))
     return np.asarray(picture)
 
 
+def _shares_text(shares: Sequence[int]) -> str:
+    """How long each foot is on the ground, in percent; short enough for a picture of 240 pixels."""
+    if len(shares) > 2:
+        return f"on the ground {', '.join(map(str, shares))} %"
+    return f"{'foot' if len(shares) == 1 else 'feet'} on the ground {', '.join(f'{share} %' for share in shares)}"
+
+
 def _gait(rollout: Rollout, count: int, width: int, first: int = 0) -> np.ndarray:
-    """(34, width, 3): when each foot touches the ground in ``count`` steps from ``first`` on; white after the end."""
-    strip = np.full((34, width, 3), 255, np.uint8)
+    """(10 + 12 k, width, 3): a bar for each foot, coloured while it touches the ground, white after the episode.
+
+    The bars show ``count`` steps from step ``first`` on.
+    """
+    feet = rollout.contact.shape[1]
+    strip = np.full((10 + 12 * feet, width, 3), 255, np.uint8)
     step = first + np.minimum(np.arange(width) * count // width, count - 1)
-    there = step < len(rollout.reward)
-    for foot in range(rollout.contact.shape[1]):
-        on = there & rollout.contact[np.minimum(step, len(rollout.reward) - 1), foot]
-        row = np.where(on[:, None], drawing.FEET[foot % 2], np.where(there[:, None], FAINT, 255)).astype(np.uint8)
+    runs_on = step < len(rollout.reward)
+    for foot in range(feet):
+        on = runs_on & rollout.contact[np.minimum(step, len(rollout.reward) - 1), foot]
+        colour = drawing.FEET[foot % len(drawing.FEET)]
+        row = np.where(on[:, None], colour, np.where(runs_on[:, None], FAINT, 255)).astype(np.uint8)
         strip[6 + 12 * foot : 15 + 12 * foot] = row
     return strip
 
@@ -203,5 +215,5 @@ def _gait(rollout: Rollout, count: int, width: int, first: int = 0) -> np.ndarra
 def _playhead(strip: np.ndarray, step: int, longest: int) -> np.ndarray:
     marked = strip.copy()
     at = min(int((step + 0.5) / longest * strip.shape[1]), strip.shape[1] - 2)
-    marked[2:31, at : at + 2] = TEXT
+    marked[2:-3, at : at + 2] = TEXT
     return marked

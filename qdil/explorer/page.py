@@ -1,4 +1,4 @@
-"""The explorer without a kernel: a page that holds everything, and what a notebook keeps of it."""
+"""The explorer without a kernel: one HTML page that holds everything, and a notebook output around it."""
 
 import base64
 import html
@@ -18,7 +18,9 @@ STATIC = Path(__file__).parent / "static"
 RECORDINGS = 100  # episodes in a page, over all its runs
 MOST_BYTES = 900_000  # of packed episodes in a page, so that a notebook that holds one stays below 2 MB
 
-# The script is kept deflated, a quarter of its size; inflating it is the only thing that runs before it.
+START: dict[str, Any] = {"run": 0, "against": -1, "field": "true_return", "iteration": -1, "selected": []}
+
+# The page holds the script deflated, at a quarter of its size, and inflates it first.
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -52,7 +54,7 @@ start().catch((error) => failed(error.message));
 </html>
 """
 
-# In a page of its own; in a notebook's output the picture lies under the page, and is seen where scripts don't run.
+# For a page of its own. In a notebook's output the picture lies under the page instead.
 WITHOUT_SCRIPTS = """
 <noscript><p>Scripts are switched off in this browser, so nothing moves here.</p>
 <img src="data:image/png;base64,{picture}" alt="{alt}" style="display:block;max-width:100%"></noscript>"""
@@ -66,7 +68,7 @@ FRAGMENT = (
 
 
 class Page:
-    """The explorer as a notebook's output for where no kernel will be: the page over a picture."""
+    """The explorer as a notebook output that needs no kernel: the page over a picture."""
 
     def __init__(self, runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS) -> None:
         self.runs, self.state, self.recordings = list(runs), state, recordings
@@ -81,7 +83,7 @@ class Page:
 
 
 def description(runs: Sequence[Shown]) -> str:
-    """What a picture of the explorer shows, for those who don't see it."""
+    """The alternative text of a picture of the explorer."""
     names = ", ".join(shown.name for shown in runs)
     return f"Archive explorer ({names}): a heatmap of the archive, and the robot of a chosen cell walking."
 
@@ -98,13 +100,13 @@ def save(runs: Sequence[Shown], state: dict[str, Any], path: str | Path, recordi
 def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS, without: str = "") -> str:
     """A whole HTML document: the explorer of ``runs`` with about ``recordings`` episodes, and nothing to load.
 
-    ``state``: what is chosen at first (run, against, field, iteration, selected, as in the widget). Episodes are of
-    cells spread over each archive, those of ``selected`` always among them; fewer where they would take up more than
-    MOST_BYTES, and the page says how many cells have one. ``without``: HTML for browsers that run no scripts.
+    ``state``: the first choices, as in the widget: ``axes``, and if wanted others than those of START. The episodes
+    are those of ``selected`` and of cells spread over each archive. Together they take at most MOST_BYTES; the page
+    gives the number of cells with an episode. ``without``: HTML for browsers that run no scripts.
     """
-    state = {"run": 0, "against": -1, "field": "true_return", "iteration": -1, "selected": [], **state}
+    state = START | state
     packed, playable = _recorded(runs, state["selected"], recordings)
-    data = {"show": showing.told(runs, playable), "rollouts": packed, "state": state}
+    data = {"show": showing.content(runs, playable), "rollouts": packed, "state": state}
     return PAGE.format(
         title=html.escape(f"Archive explorer: {', '.join(shown.name for shown in runs)}"),
         css=(STATIC / "explorer.css").read_text(),
@@ -115,7 +117,7 @@ def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDI
 
 
 def _recorded(runs: Sequence[Shown], selected: Sequence[Any], count: int) -> tuple[dict[str, str], list[list[int]]]:
-    """About ``count`` episodes by "run:cell", packed, in base64; and which cells of each run they are of."""
+    """About ``count`` packed episodes in base64, by "run:cell"; and for each run the cells that have one."""
     playing = [shown.plays for shown in runs]
     share = -(-count // max(1, sum(playing)))
     packed: dict[str, str] = {}
@@ -140,6 +142,6 @@ def _recorded(runs: Sequence[Shown], selected: Sequence[Any], count: int) -> tup
 def fragment(document: str, picture: bytes, alt: str) -> str:
     """``document`` over a PNG ``picture``, for a notebook's output.
 
-    Where scripts may not run, or where the frame is taken out (a notebook that is not trusted), the picture is seen.
+    The picture shows where scripts may not run and where JupyterLab removes the frame (an untrusted notebook).
     """
     return FRAGMENT.format(picture=base64.b64encode(picture).decode(), alt=html.escape(alt), page=html.escape(document))

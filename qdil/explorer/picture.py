@@ -1,4 +1,4 @@
-"""What stands in for the explorer where nothing can move: the heatmap, and moments of one robot's episode."""
+"""The still picture of the explorer for places without scripts: the map, and moments of one robot's episode."""
 
 import io
 from collections.abc import Sequence
@@ -9,33 +9,34 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from PIL import Image
 
-from qdil.explorer import film
+from qdil.explorer import drawing, film
 from qdil.explorer import shown as showing
 from qdil.explorer.rollouts import Rollout
 from qdil.explorer.shown import Shown
 from qdil.plotting import heatmap, to_png
 from qdil.plotting.colours import RED
+from qdil.plotting.measures import STRIP
 
-WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches and dots: the size of the frame that lies over it
+WIDTH, HEIGHT, DPI = 11.8, 6.6, 100  # inches, inches, dots per inch: the size of the live frame over the picture
 MOMENTS = 3
-SKETCH, SKETCH_COLOURS = 4.6, 200  # inches across; few colours make a small file
-FEET = ("#e69f00", "#56b4e9")  # as in the front end
+SKETCH, SKETCH_COLOURS = 4.6, 200  # inches across; few colours keep the file small
 
 
 def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
-    """A PNG of ``state``: the run's heatmap with the chosen cell marked and, where it can walk, its robot and gait."""
+    """A PNG of ``state``: the run's map with the chosen cell marked and, if its robot can be shown, robot and gait."""
     shown = runs[state["run"]]
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=[5, 7], squeeze=False)[0]
-    ax = _map(shown, left)
+    axes_shown = state["axes"]
+    ax = _map(shown, axes_shown, left)
     index = np.asarray(shown.archive["index"])
     cells = [cell for run, cell in state["selected"] if run == state["run"] and cell in index]
     if not cells or not shown.plays:
         right.text(0.5, 0.5, shown.why or "no cell chosen", ha="center")
         return to_png(figure)
     row = int(np.flatnonzero(index == cells[0])[0])
-    x, y = shown.archive["measures"][row]
-    ax.scatter(x, y, marker="s", s=110, facecolors="none", edgecolors="black", linewidths=2)
+    measures = np.asarray(shown.archive["measures"])[[row]]
+    _scatter(ax, measures, axes_shown, marker="s", s=110, fc="none", ec="black", lw=2)
     rollout = showing.roll_out(shown, cells[:1])[0]
     axes = right.subplot_mosaic([list(range(MOMENTS)), ["gait"] * MOMENTS], height_ratios=[3, 1])
     _moments(shown, rollout, [axes[i] for i in range(MOMENTS)])
@@ -46,9 +47,10 @@ def picture(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
 
 
 def sketch(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
-    """A small PNG of the map alone, in few colours: drawn in a moment, since no robot has to be simulated for it."""
-    figure = Figure(figsize=(SKETCH, 1.36 * SKETCH), dpi=DPI, layout="constrained")
-    _map(runs[state["run"]], figure)
+    """A small PNG of the map alone, in few colours. It is quick to make: no robot is simulated."""
+    height = 1.36 if len(state["axes"]) > 1 else 0.66  # in widths: a square, or a strip
+    figure = Figure(figsize=(SKETCH, height * SKETCH), dpi=DPI, layout="constrained")
+    _map(runs[state["run"]], state["axes"], figure)
     figure.supxlabel("Run this notebook to click cells and see their robots walk.", size=9)
     buffer = io.BytesIO()
     with Image.open(io.BytesIO(to_png(figure))) as drawn:
@@ -56,17 +58,26 @@ def sketch(runs: Sequence[Shown], state: dict[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def _map(shown: Shown, figure: Figure | SubFigure) -> Axes:
-    """The archive's heatmap, with its demonstrators and its colour bar."""
+def _map(shown: Shown, axes: Sequence[int], figure: Figure | SubFigure) -> Axes:
+    """The archive over one or two of its ``axes``, with its demonstrators and its colour bar."""
     ax = figure.subplots()
-    mesh = heatmap(shown.archive, ax, robot=shown.config["env"] if shown.config else None, colour_bar=False)
-    bar = figure.colorbar(mesh, ax=ax, location="bottom", shrink=0.9)
-    bar.set_label("true return per episode (reward units)\ngrey: empty cell")
+    env = shown.config["env"] if shown.config else None
+    drawn = heatmap(shown.archive, ax, robot=env, colour_bar=False, plane=tuple(axes))
+    bar = figure.colorbar(drawn, ax=ax, location="bottom", shrink=0.9)
+    others = shown.k - len(axes)
+    best = f"\nbest elite over the other {f'{others} feet' if others > 1 else 'foot'}" if others else ""
+    bar.set_label(f"true return per episode (reward units)\ngrey: empty cell{best}")
     ax.set_title(shown.name)
     if len(shown.demonstrators):
-        x, y = np.transpose(shown.demonstrators)
-        ax.scatter(x, y, marker="*", s=150, c=RED, edgecolors="white", clip_on=False)
+        _scatter(ax, shown.demonstrators, axes, marker="*", s=150, c=RED, edgecolors="white", clip_on=False)
     return ax
+
+
+def _scatter(ax: Axes, measures: np.ndarray, axes: Sequence[int], **style: Any) -> None:
+    """Marks at ``measures`` (n, k) on the map of ``axes``; in the middle of a strip's height."""
+    x = measures[:, axes[0]]
+    y = measures[:, axes[1]] if len(axes) > 1 else np.full(len(x), STRIP / 2)
+    ax.scatter(x, y, **style)
 
 
 def _moments(shown: Shown, rollout: Rollout, axes: list[Axes]) -> None:
@@ -80,12 +91,11 @@ def _moments(shown: Shown, rollout: Rollout, axes: list[Axes]) -> None:
 
 
 def _gait(shown: Shown, rollout: Rollout, ax: Axes) -> None:
-    """When each foot is on the ground."""
-    assert shown.config is not None
-    about = showing.robot(shown.config["env"])
-    for foot, colour in enumerate(FEET):
+    """When each of the k feet is on the ground."""
+    for foot in range(shown.k):
         starts = np.flatnonzero(rollout.contact[:, foot])
         spans = [(step * rollout.seconds, rollout.seconds) for step in starts]
-        ax.broken_barh(spans, (-foot - 0.4, 0.8), color=colour)
-    ax.set(yticks=[0, -1], yticklabels=about["feet"], xlabel="time (s); coloured: the foot touches the ground")
+        ax.broken_barh(spans, (-foot - 0.4, 0.8), color=drawing.FEET[foot] / 255)
+    rows = [-foot for foot in range(shown.k)]
+    ax.set(yticks=rows, yticklabels=shown.feet, xlabel="time (s); coloured: the foot touches the ground")
     ax.set_xlim(0, len(rollout.reward) * rollout.seconds)

@@ -1,4 +1,4 @@
-"""Whole episodes of elites as pictures need them: where every link is, which foot touches, what each step was paid."""
+"""Whole episodes of elites for drawing: the pose of every link, the feet on the ground, the reward of every step."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
@@ -11,27 +11,27 @@ import numpy as np
 from qdil.rl import networks
 from qdil.rl.evaluate import Policies
 from qdil.rl.rollout import where_each
-from qdil.robots import brax_robots
+from qdil.robots import register
 from qdil.robots.environment import RobotState
-from qdil.types import ObsStats
+from qdil.types import Normaliser
 
-BATCH = 4  # episodes simulated together: as many as are shown side by side, so that a click and a pack share a program
-CHUNK = 100  # steps per call of the compiled program: episodes that fall early are not simulated to their end
+BATCH = 4  # episodes simulated together, as many as the explorer shows: one compiled program serves every call
+CHUNK = 100  # steps per call of the compiled program: no call follows once every robot has fallen
 
 
 class Rollout(NamedTuple):
-    """One episode of T steps; row t belongs to s_t, the state in which action a_t was chosen."""
+    """One episode of T steps; row t belongs to s_t, the state in which the robot takes action a_t."""
 
     position: np.ndarray  # (T, L, 3) links' frames in the world, metres; x forward, y to the left, z up
     rotation: np.ndarray  # (T, L, 4) unit quaternions, real part first
-    contact: np.ndarray  # (T, k) bool, δ(s_t): does a foot touch the ground
+    contact: np.ndarray  # (T, k) bool, δ(s_t): True where a foot touches the ground
     reward: np.ndarray  # (T,) the environment's own reward of step t
     seconds: float  # length of a step
-    fell: bool  # the episode ended by itself, before its time limit
+    fell: bool  # the episode terminated before its time limit
 
 
 class _Seen(NamedTuple):
-    """A chunk of steps of BATCH robots, axes (T, E) in front."""
+    """A chunk of T steps of E robots, axes (T, E) in front."""
 
     position: jax.Array
     rotation: jax.Array
@@ -48,7 +48,7 @@ class _Player(NamedTuple):
 
 
 class _Sizes(NamedTuple):
-    """What a robot and its network measure."""
+    """Sizes of a robot and its network."""
 
     theta: int  # parameters of a policy
     obs: int  # numbers in an observation
@@ -58,10 +58,9 @@ class _Sizes(NamedTuple):
 def play(config: Mapping[str, Any], policies: Policies, seed: int = 0) -> list[Rollout]:
     """An episode of each of n ``policies``.
 
-    Each acts by its mean action, under its own observation statistics, until it falls or the time limit of the run that
-    found it. All start from the same random changes of the first pose, which ``seed`` draws. ``config`` is a run's
-    settings (env, backend, actor_hidden, episode_length), of whatever version. Raises ValueError for policies of
-    another size.
+    Each takes its mean action, with its own observation statistics, until it falls or reaches the run's time limit.
+    All start in the same state, drawn by ``seed``. ``config`` holds a run's settings, of which env, backend,
+    actor_hidden and episode_length are read. Raises ValueError for policies of another size.
     """
     player, sizes = _player(config["env"], config["backend"], tuple(config["actor_hidden"]))
     given = (policies.theta.shape[-1], policies.obs_mean.shape[-1])
@@ -73,8 +72,8 @@ def play(config: Mapping[str, Any], policies: Policies, seed: int = 0) -> list[R
     rollouts: list[Rollout] = []
     count = len(policies.theta)
     for first in range(0, count, BATCH):
-        rows = np.minimum(np.arange(first, first + BATCH), count - 1)  # the last one fills up an unfinished batch
-        # Rows are taken by NumPy: it compiles nothing for another number of policies.
+        rows = np.minimum(np.arange(first, first + BATCH), count - 1)  # the last policy fills an unfinished batch
+        # NumPy takes the rows: JAX would compile this step anew for every number of policies.
         some = Policies(*(jnp.asarray(np.asarray(field, np.float32)[rows]) for field in policies))
         rollouts += _batch(player, some, int(config["episode_length"]), sizes.seconds, seed)[: count - first]
     return rollouts
@@ -100,17 +99,13 @@ def _batch(player: _Player, policies: Policies, length: int, seconds: float, see
 
 @lru_cache(maxsize=8)
 def _player(name: str, backend: str, hidden: Sequence[int]) -> tuple[_Player, _Sizes]:
-    """The compiled functions, and the sizes of the robot and network that they are for."""
-    env = brax_robots.make(name, backend)
-    shapes = jax.eval_shape(
-        lambda key: networks.init_policy(key, env.obs_size, env.action_size, hidden, 1.0), jax.random.key(0)
-    )
-    like = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    """The compiled functions of a robot and network, and their sizes."""
+    env = register.make(name, backend)
+    template = networks.template_of(env.obs_size, env.action_size, hidden)
 
     def act(policy: Policies, obs: jax.Array) -> jax.Array:
-        unused = jnp.zeros_like(policy.obs_mean)
-        stats = ObsStats(policy.obs_mean, policy.obs_std, unused, unused)
-        return networks.policy_mean(networks.unflatten(policy.theta, like), stats, obs)
+        normaliser = Normaliser(policy.obs_mean, policy.obs_std)
+        return networks.policy_mean(networks.unflatten(policy.theta, template), normaliser, obs)
 
     def advance(policies: Policies, robot: RobotState, alive: jax.Array):
         def step(carry, _):
@@ -118,11 +113,11 @@ def _player(name: str, backend: str, hidden: Sequence[int]) -> tuple[_Player, _S
             after, outcome = jax.vmap(env.step)(robot, jax.vmap(act)(policies, robot.obs))
             x = robot.physics.x
             seen = _Seen(x.pos, x.rot, robot.proxy > 0.5, outcome.reward, alive)
-            still = alive & ~outcome.terminated
-            return (where_each(still, after, robot), still), seen
+            goes_on = alive & ~outcome.terminated
+            return (where_each(goes_on, after, robot), goes_on), seen
 
         (robot, alive), seen = jax.lax.scan(step, (robot, alive), None, CHUNK)
         return robot, alive, seen
 
     player = _Player(jax.jit(jax.vmap(env.reset)), jax.jit(advance))
-    return player, _Sizes(networks.flat_size(like), env.obs_size, env.step_seconds)
+    return player, _Sizes(networks.flat_size(template), env.obs_size, env.step_seconds)

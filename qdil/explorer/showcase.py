@@ -1,4 +1,4 @@
-"""Small copies of finished runs that are kept in the repository, so that robots walk before anything is trained."""
+"""Small copies of finished runs, kept in the repository: readers see robots walk before they train any."""
 
 import json
 import shutil
@@ -14,10 +14,10 @@ FOLDER = RESULTS / "showcase"
 
 
 def keep(folder: Path, root: Path = FOLDER) -> Path:
-    """Copy a finished run into ``root/<env>/<method>/seed-<n>`` with its policies in 16 bits; returns where it went.
+    """Copy a finished run into ``root/<env>/<method>/seed-<n>`` with its policies in 16 bits; returns that folder.
 
-    Half the size, and a policy rounded so walks as it did, up to what another start state changes as well. The measures
-    of its demonstrators are kept beside it. Raises ConfigError for a run that is not finished or has no policies.
+    16 bits halve the size; the rounding changes an episode no more than another start state does. The measures of the
+    run's demonstrators are copied too. Raises ConfigError for a run that is not finished or has no policies.
     """
     config, archive = read_config(folder), read_archive(folder, policies=True)
     target = root / config["env"] / config["method"] / f"seed-{config['seed']}"
@@ -25,20 +25,20 @@ def keep(folder: Path, root: Path = FOLDER) -> Path:
     policies = {name: archive[name] for name in ("index", "obs_mean", "obs_std")}
     write_npz(target / "policies.npz", **policies, solution=archive["solution"].astype(np.float16))
     write_json(target / "config.json", config)
-    told = json.loads((folder / "manifest.json").read_text())
+    manifest = json.loads((folder / "manifest.json").read_text())
     files = ["config.json", "archive.npz", "policies.npz"]
     if (folder / "history.npz").is_file():
         shutil.copyfile(folder / "history.npz", target / "history.npz")
         files.append("history.npz")
-    told |= {"policies": "rounded to 16 bits for the showcase", "sha256": {n: sha256(target / n) for n in files}}
+    manifest |= {"policies": "rounded to 16 bits for the showcase", "sha256": {n: sha256(target / n) for n in files}}
     demonstrators = showing.read(folder)[0].demonstrators
     if len(demonstrators):
         write_npz(target.parent.parent / f"demos-{config['demo_episodes']}.npz", elite_measures=demonstrators)
-    write_json(target / "manifest.json", told)
+    write_json(target / "manifest.json", manifest)
     return target
 
 
 def kept(env: str, root: Path = FOLDER) -> dict[str, Path]:
-    """The runs of a robot in the showcase, by method: the expert first, then those that imitate it."""
+    """A robot's runs in the showcase, by method: the expert first, then its imitators."""
     folders = {path.parent.parent.name: path.parent for path in sorted((root / env).glob("*/seed-*/manifest.json"))}
     return dict(sorted(folders.items(), key=lambda one: (one[0] != "true", len(one[0]), one[0])))

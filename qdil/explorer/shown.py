@@ -1,4 +1,4 @@
-"""What the explorer shows: runs from their folders or archives from memory, checked, and as plain values."""
+"""What the explorer shows: archives from run folders or from memory, checked; and as JSON for the front end."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -10,6 +10,7 @@ import numpy as np
 
 from qdil.errors import ConfigError
 from qdil.explorer import rollouts
+from qdil.explorer.projection import axes_choices, best_rows
 from qdil.explorer.rollouts import Rollout
 from qdil.imitation.demos import farthest_points, top_fifth
 from qdil.names import title
@@ -24,21 +25,33 @@ Runs = str | Path | Archive | Sequence[Any] | Mapping[str, Any]
 
 
 class Shown(NamedTuple):
-    """One archive with all that the explorer says of it."""
+    """One archive, and what the explorer shows with it."""
 
     name: str  # what menus call it
     config: Mapping[str, Any] | None  # the run's settings; None for an archive of unknown origin
-    archive: Archive  # arrays as ``read_archive`` gives them, policies among them where they are there
-    demonstrators: np.ndarray  # (d, 2) measures of the demonstrators
+    archive: Archive  # arrays as ``read_archive`` returns them, with the policies if the machine has them
+    demonstrators: np.ndarray  # (d, k) measures of the demonstrators
     # New elites in order: iteration, index, true_return and fitness (n,), and iterations (), how many the run had; from
     # ``history.npz`` beside the archive (``qdil.qd.history``). None if the run kept none.
     history: Mapping[str, np.ndarray] | None
-    why: str  # why robots cannot be shown; empty where they can
+    why: str  # why its robots cannot be shown; empty if they can
+
+    @property
+    def k(self) -> int:
+        """The number of measures, one for each foot."""
+        return len(self.archive["cells"])
 
     @property
     def plays(self) -> bool:
-        """Whether there are policies to roll out."""
+        """Whether its robots can be rolled out and drawn."""
         return not self.why
+
+    @property
+    def feet(self) -> list[str]:
+        """The names of the k feet."""
+        if self.config:
+            return list(register.find(self.config["env"]).measure_names)
+        return [f"foot {i + 1}" for i in range(self.k)]
 
 
 def read(runs: Runs, config: Mapping[str, Any] | None = None) -> list[Shown]:
@@ -46,8 +59,8 @@ def read(runs: Runs, config: Mapping[str, Any] | None = None) -> list[Shown]:
 
     ``runs``: a run's folder; an archive in memory (with ``config``, the settings of its run, its robots can walk too);
     several of either, in a sequence or a mapping by name (a method's name is spelled as the paper does); or a mapping
-    of names to sequences of folders, one per seed, of which the first is shown. Raises ConfigError for what is none of
-    these, for nothing at all, for archives without two measures, and for runs of different robots.
+    of names to sequences of folders, one per seed, of which the first is shown. Raises ConfigError for anything else,
+    for no archive at all, for archives without 1 to 6 measures, and for runs of different robots.
     """
     found = [_one(name, what, config) for name, what in _named(runs)]
     if not found:
@@ -55,6 +68,9 @@ def read(runs: Runs, config: Mapping[str, Any] | None = None) -> list[Shown]:
     robots = {shown.config["env"] for shown in found if shown.config}
     if len(robots) > 1:
         raise ConfigError(f"these runs are of different robots ({', '.join(sorted(robots))}): explore them one by one.")
+    if len({shown.k for shown in found}) > 1:
+        measures = ", ".join(f"'{shown.name}' has {shown.k}" for shown in found)
+        raise ConfigError(f"these archives have different numbers of measures ({measures}): explore them one by one.")
     return found
 
 
@@ -78,7 +94,7 @@ def _is_several(what: Any) -> bool:
 def _one(name: str, what: Any, config: Mapping[str, Any] | None) -> Shown:
     if isinstance(what, Mapping):
         why = "" if config and all(field in what for field in POLICY) else "no policies in this archive"
-        return _checked(Shown(name or "archive", config, what, np.zeros((0, 2)), None, why))
+        return _checked(Shown(name or "archive", config, what, np.zeros((0, 0)), None, why))
     if not isinstance(what, str | Path):
         raise ConfigError(f"'{type(what).__name__}' cannot be explored: give a run's folder or an archive.")
     folder = Path(what)
@@ -94,21 +110,28 @@ def _checked(shown: Shown) -> Shown:
     missing = [field for field in NEEDED if field not in shown.archive]
     if missing:
         raise ConfigError(f"the archive '{shown.name}' has no {', '.join(missing)}.")
-    if len(shown.archive["cells"]) != 2:
-        raise ConfigError(f"the explorer draws two measures; '{shown.name}' has {len(shown.archive['cells'])}.")
-    if shown.config and shown.config["env"] not in register.robot_names():
-        raise ConfigError(f"'{shown.name}' is of the unknown robot '{shown.config['env']}'.")
+    if not 1 <= shown.k <= register.MOST_MEASURES:
+        raise ConfigError(f"the explorer draws 1 to {register.MOST_MEASURES} measures; '{shown.name}' has {shown.k}.")
+    if not shown.config:
+        return shown
+    env = shown.config["env"]
+    if env not in register.robot_names():
+        raise ConfigError(f"'{shown.name}' is of the unknown robot '{env}'.")
+    if shown.k != register.count_measures(env):
+        raise ConfigError(f"measures of '{shown.name}': {shown.k}; of {env}: {register.count_measures(env)}.")
+    if shown.plays and robot(env) is None:
+        return shown._replace(why=f"the robot {env} has no shapes to draw")
     return shown
 
 
 def _demonstrators(folder: Path, config: Mapping[str, Any]) -> np.ndarray:
-    """Measures (d, 2) of the demonstrators that lie beside the run, (0, 2) where none do."""
+    """Measures (d, k) of the demonstrators in the file beside the run; without one, an array without rows."""
     for place in (folder.parent.parent, folder.parent, folder):
         path = place / f"demos-{config.get('demo_episodes', 4)}.npz"
         if path.is_file():
             with np.load(path, allow_pickle=False) as file:
-                return file["elite_measures"] if "elite_measures" in file.files else np.zeros((0, 2))
-    return np.zeros((0, 2))
+                return file["elite_measures"] if "elite_measures" in file.files else np.zeros((0, 0))
+    return np.zeros((0, 0))
 
 
 def _history(folder: Path) -> Mapping[str, np.ndarray] | None:
@@ -120,7 +143,7 @@ def _history(folder: Path) -> Mapping[str, np.ndarray] | None:
 
 
 def roll_out(shown: Shown, cells: Sequence[int], seed: int = 0) -> list[Rollout]:
-    """An episode of the elite of each of ``cells`` (numbers of cells). Raises ConfigError for a cell without one."""
+    """An episode of the elite of each of ``cells`` (cell numbers). Raises ConfigError for an empty cell."""
     if not shown.plays or shown.config is None:
         raise ConfigError(f"'{shown.name}' cannot be played: {shown.why}.")
     index = np.asarray(shown.archive["index"])
@@ -139,29 +162,37 @@ def best_cell(shown: Shown) -> int:
 
 
 def spread_out(shown: Shown, count: int) -> list[int]:
-    """At most ``count`` filled cells spread over the archive, the best first: farthest points in measures."""
-    points = np.asarray(shown.archive["measures"], float).reshape(-1, 2)
-    if not len(points):
+    """At most ``count`` cells spread over the archive, the best first: farthest points in measures.
+
+    All are cells that a click can choose: the best of a square on the map of some axes.
+    """
+    archive = shown.archive
+    rows = np.unique(np.concatenate([best_rows(archive, axes) for axes in axes_choices(shown.k)]))
+    if not len(rows):
         return []
-    best_first = np.argsort(-np.asarray(shown.archive["true_return"]), kind="stable")
-    chosen = best_first[farthest_points(points[best_first], min(count, len(points)))]
-    return [int(cell) for cell in np.asarray(shown.archive["index"])[chosen]]
+    best_first = rows[np.argsort(-np.asarray(archive["true_return"])[rows], kind="stable")]
+    points = np.asarray(archive["measures"], float)[best_first]
+    chosen = best_first[farthest_points(points, min(count, len(points)))]
+    return [int(cell) for cell in np.asarray(archive["index"])[chosen]]
 
 
-def told(runs: Sequence[Shown], playable: Sequence[Sequence[int]] | None = None) -> dict[str, Any]:
-    """All that the front end needs to know, as JSON's plain values.
+def content(runs: Sequence[Shown], playable: Sequence[Sequence[int]] | None = None) -> dict[str, Any]:
+    """What the front end shows of ``runs``, as JSON's plain values.
 
     ``playable``: for each run the cells that a page has recordings of; None where a kernel can play any.
     """
     env = next((shown.config["env"] for shown in runs if shown.config), None)
-    feet = list(register.find(env).measure_names) if env else ["foot 1", "foot 2"]
-    content: dict[str, Any] = {"robot": robot(env) if env else None, "runs": [_told(shown, feet) for shown in runs]}
+    feet = next((shown.feet for shown in runs if shown.config), runs[0].feet)
+    values: dict[str, Any] = {
+        "robot": robot(env) if env else None,
+        "runs": [_run_content(shown, feet) for shown in runs],
+    }
     if playable is not None:
-        content["playable"] = [list(cells) for cells in playable]
-    return json.loads(json.dumps(content))
+        values["playable"] = [list(cells) for cells in playable]
+    return json.loads(json.dumps(values))
 
 
-def _told(shown: Shown, feet: list[str]) -> dict[str, Any]:
+def _run_content(shown: Shown, feet: list[str]) -> dict[str, Any]:
     archive = shown.archive
     returns = np.asarray(archive["true_return"], float)
     is_expert = bool(shown.config) and shown.config is not None and shown.config.get("method") == "true"
@@ -178,11 +209,11 @@ def _told(shown: Shown, feet: list[str]) -> dict[str, Any]:
         "best": best_cell(shown),
         "plays": shown.plays,
         "why": shown.why,
-        "history": _told_history(shown.history),
+        "history": _history_content(shown.history),
     }
 
 
-def _told_history(history: Mapping[str, np.ndarray] | None) -> dict[str, Any] | None:
+def _history_content(history: Mapping[str, np.ndarray] | None) -> dict[str, Any] | None:
     if history is None:
         return None
     return {
@@ -194,21 +225,28 @@ def _told_history(history: Mapping[str, np.ndarray] | None) -> dict[str, Any] | 
 
 
 def _rounded(values: Any) -> Any:
-    """Numbers short enough for a page, and exact enough that nothing shown changes."""
+    """Numbers to four decimals: short in a page, and finer than any text or colour."""
     return np.round(np.asarray(values, float), 4).tolist()
 
 
 @cache
-def robot(env: str) -> dict[str, Any]:
-    """A robot's capsules for the front end: link numbers, ends in the links' frames, metres."""
+def robot(env: str) -> dict[str, Any] | None:
+    """A robot's capsules for the front end: link numbers, ends in the links' frames, metres.
+
+    None for a robot without capsules and for a user's own environment, which has no model to read shapes from.
+    """
+    if register.find(env).environment is not None:
+        return None
     body, pose = shapes.shapes(env), shapes.first_pose(env)
+    if not len(body.link):
+        return None
     ends = shapes.placed(body, pose)
     around = body.radius[:, None, None]
     low, high = (ends - around).min(axis=(0, 1)), (ends + around).max(axis=(0, 1))
-    side = legs(env)
+    leg = legs(env)
     capsules = [
         {"link": int(link), "ends": _rounded(two.ravel()), "radius": round(float(radius), 4), "foot": int(foot),
-         "side": int(side[link])}
+         "leg": int(leg[link])}
         for link, two, radius, foot in zip(*body, strict=True)
     ]  # fmt: skip
     return {
@@ -216,7 +254,8 @@ def robot(env: str) -> dict[str, Any]:
         "feet": list(register.find(env).measure_names),
         "links": len(pose.position),
         "capsules": capsules,
-        "size": round(float(max(high[2] - low[2], 0.75 * (high[0] - low[0]))), 3),
+        # Metres for the camera to hold: the height, or what fits from any side of the horizontal extent.
+        "size": round(float(max(high[2] - low[2], 0.75 * np.hypot(*(high - low)[:2]))), 3),
         "middle": round(float(low[2] + high[2]) / 2, 3),
         "torso": round(float(pose.position[0, 2]), 3),
     }
@@ -224,17 +263,18 @@ def robot(env: str) -> dict[str, Any]:
 
 @cache
 def legs(env: str) -> np.ndarray:
-    """(L,) for every link the number of the foot whose leg it is part of, -1 for what the legs share or lack."""
-    model = brax_robots.model(env)
-    names = [model.body(i).name for i in range(model.nbody)]
+    """(L,) for every link the foot whose leg it is part of; -1 for the root and for links of no leg or of several."""
+    model, body = brax_robots.model(register.find(env)), shapes.shapes(env)
     chains: list[set[int]] = []
-    for foot in register.find(env).measure_names:
-        chain, body = set[int](), names.index(foot)
-        while body > 0:
-            chain.add(body - 1)
-            body = int(model.body_parentid[body])
+    for foot in range(register.count_measures(env)):
+        chain = set[int]()
+        for link in np.unique(body.link[body.foot == foot]):
+            number = int(link) + 1  # MuJoCo's body 0 is the world
+            while number > 0 and model.body_parentid[number] > 0:
+                chain.add(number - 1)
+                number = int(model.body_parentid[number])
         chains.append(chain)
-    side = np.full(model.nbody - 1, -1)
-    for k, chain in enumerate(chains):
-        side[list(chain.difference(*(other for i, other in enumerate(chains) if i != k)))] = k
-    return side
+    leg = np.full(model.nbody - 1, -1)
+    for foot, chain in enumerate(chains):
+        leg[list(chain.difference(*(other for i, other in enumerate(chains) if i != foot)))] = foot
+    return leg

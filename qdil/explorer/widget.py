@@ -1,4 +1,4 @@
-"""The explorer in a live notebook: the front end as a widget, menus around it, rollouts computed at each click."""
+"""The explorer in a live notebook: the front end as a widget with menus; the kernel computes the rollouts."""
 
 import base64
 import html
@@ -6,6 +6,7 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -22,24 +23,25 @@ from qdil.explorer.shown import Shown
 
 FIELDS = {"True return": "true_return", "Learned fitness": "fitness", "Learned fitness − true return": "difference"}
 MOST = 4  # robots side by side
-PICTURES = 200  # that the play button shows of a whole run, at most, as in the front end
+PICTURES = 200  # at most, that the play button shows of a whole run; as in the front end
 KEPT = 512  # packed rollouts that a widget remembers, a few kilobytes each
 
 
 class View(anywidget.AnyWidget):
-    """Heatmap, robots and gait diagram; its traits are what the reader chooses, from either side."""
+    """Map, robots and gait diagram. The traits hold the reader's choices; page and kernel can both set them."""
 
     _esm = STATIC / "explorer.js"
     _css = STATIC / "explorer.css"
     show = traitlets.Dict().tag(sync=True)
-    run = traitlets.Int(0).tag(sync=True)  # which run the heatmap shows
-    against = traitlets.Int(-1).tag(sync=True)  # which run is subtracted; -1: none
+    run = traitlets.Int(0).tag(sync=True)  # the number of the run that the map shows
+    against = traitlets.Int(-1).tag(sync=True)  # the number of the run that is subtracted; -1: none
     field = traitlets.Enum(list(FIELDS.values()), "true_return").tag(sync=True)
     iteration = traitlets.Int(-1).tag(sync=True)  # -1: the end of the run
+    axes: traitlets.List = traitlets.List().tag(sync=True)  # the measures that the map shows: [across], or [across, up]
     selected: traitlets.List = traitlets.List().tag(sync=True)  # [number of the run, number of the cell], up to four
 
     def __init__(self, runs: Sequence[Shown], state: dict[str, Any]) -> None:
-        super().__init__(show=showing.told(runs), **state)
+        super().__init__(show=showing.content(runs), **state)
         runs = list(runs)
 
         @lru_cache(maxsize=KEPT)
@@ -57,13 +59,21 @@ class View(anywidget.AnyWidget):
             raise traitlets.TraitError(f"{proposal['trait'].name} is the number of a run, {allowed}.")
         return proposal["value"]
 
+    @traitlets.validate("axes")
+    def _are_axes(self, proposal: Any) -> list[int]:
+        k = len(self.show["runs"][0]["cells"])
+        choices = [list(axes) for axes in permutations(range(k), min(k, 2))]
+        if list(proposal["value"]) not in choices:
+            raise traitlets.TraitError(f"axes is one of {', '.join(map(str, choices))}.")
+        return [int(axis) for axis in proposal["value"]]
+
     @traitlets.validate("selected")
     def _are_cells(self, proposal: Any) -> list[list[int]]:
-        """Pairs of whole numbers, each a run and one of its cells; the front end draws nothing else."""
+        """Pairs of whole numbers, each a run and one of its cells."""
         return checked(self.show["runs"], proposal["value"])
 
     def _answer(self, _: Any, message: Any, buffers: Any) -> None:
-        """Send the rollout that the front end wants, or why there is none."""
+        """Send the requested rollout, or the reason why there is none."""
         if not isinstance(message, dict) or message.get("type") != "want":
             return
         which = {"run": message.get("run"), "cell": message.get("cell")}
@@ -71,7 +81,7 @@ class View(anywidget.AnyWidget):
             content = self._packed(int(message["run"]), int(message["cell"]))
         except ConfigError as error:
             self.send({"type": "refused", "why": str(error), **which})
-        except Exception as error:  # whatever it is: the page waits for an answer, and a log is read by nobody
+        except Exception as error:  # any error: the page waits for an answer, and nobody reads the kernel's log
             why = f"The rollout failed in the kernel ({type(error).__name__}: {error})"
             self.send({"type": "refused", "why": why, **which})
         else:
@@ -79,9 +89,9 @@ class View(anywidget.AnyWidget):
 
 
 def checked(runs: Sequence[Mapping[str, Any]], selected: Sequence[Any]) -> list[list[int]]:
-    """``selected`` as lists of two integers. Raises TraitError for what is not a cell of a run, and for more than four.
+    """``selected`` as lists of two integers. Raises TraitError for cells that do not exist and for more than four.
 
-    ``runs``: as ``shown.told`` gives them.
+    ``runs``: as ``shown.content`` returns them.
     """
     if len(selected) > MOST:
         raise traitlets.TraitError(f"{MOST} robots at most walk side by side, not {len(selected)}.")
@@ -132,7 +142,7 @@ class Explorer(ipywidgets.VBox):
         self.view.iteration = -1 if iteration == last else iteration
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        """The widget, and in its place, where a saved notebook is shown without a kernel, a small picture."""
+        """The widget, and a small picture for saved notebooks that are shown without a kernel."""
         bundle = super()._repr_mimebundle_(**kwargs)
         drawn = base64.b64encode(sketch(self.runs, self._state())).decode()
         alt = html.escape(description(self.runs))
@@ -140,11 +150,11 @@ class Explorer(ipywidgets.VBox):
         return bundle
 
     def _state(self) -> dict[str, Any]:
-        return {name: getattr(self.view, name) for name in ("run", "against", "field", "iteration", "selected")}
+        return {name: getattr(self.view, name) for name in ("run", "against", "field", "iteration", "axes", "selected")}
 
     @property
     def selected(self) -> list[tuple[str, int]]:
-        """What is shown: (name of the run, number of the cell)."""
+        """The chosen cells: (name of the run, number of the cell)."""
         return [(self.runs[number].name, int(cell)) for number, cell in self.view.selected]
 
     def save(self, path: str | Path, recordings: int | None = None) -> Path:
@@ -155,5 +165,5 @@ class Explorer(ipywidgets.VBox):
 
 
 def _numbered(names: list[str]) -> list[tuple[str, int]]:
-    """Menu entries; equal names are told apart by their number."""
+    """Menu entries; equal names get their number."""
     return [(name if names.count(name) == 1 else f"{name} ({i + 1})", i) for i, name in enumerate(names)]

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from functools import partial
 
 import explorer_runs
 import jax
@@ -13,18 +14,18 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import qdil
-from qdil.runs.folder import read_archive, read_config
-from qdil.config import make_config, to_json
+from qdil.config import Evaluation, make_config, to_json
 from qdil.errors import ConfigError
 from qdil.explorer import compare, drawing, film, page, rollouts, showcase, shown
 from qdil.explorer.pack import pack, unpack
 from qdil.explorer.rollouts import Rollout
-from qdil.engine.phases import template_of
-from qdil.robots import brax_robots, shapes
-from qdil.rl import evaluate
+from qdil.rl import evaluate, networks
 from qdil.rl.evaluate import Policies
+from qdil.robots import brax_robots, register, shapes
+from qdil.runs.folder import read_archive, read_config
 
 CELLS = [0, 6, 7, 12, 18, 23]
+pytestmark = pytest.mark.physics
 
 
 @pytest.fixture(scope="module")
@@ -66,17 +67,18 @@ def test_a_robot_that_leaps_too_far_is_refused():
 
 
 def test_rollouts_agree_with_the_evaluation_that_fills_archives(folder):
-    """The same policies, start and steps as ``search.evaluate`` takes give the same return, length and measures."""
+    """The same policies, start and steps as ``rl.evaluate`` takes give the same return, length and measures."""
     config, archive = read_config(folder), read_archive(folder, policies=True)
     policies = Policies(*(archive[name] for name in ("solution", "obs_mean", "obs_std")))
     played = rollouts.play(config, policies)
-    settings = make_config("walker2d", "true", "smoke", 1)
-    env = brax_robots.make("walker2d")
-    like = template_of(settings.__class__(**{**settings.__dict__, "actor_hidden": (8, 8)}), env)
-    pieces = evaluate.episodes(env, like, 1, config["episode_length"], 60, 1, len(CELLS), sample_actions=False)
-    envs, tally = pieces.begin(jax.random.split(jax.random.key(0), (len(CELLS), 1)))
+    env = register.make("walker2d")
+    template = networks.template_of(env.obs_size, env.action_size, (8, 8))
+    settings = Evaluation(episodes=1, sample_actions=False, eval_chunk_steps=60, eval_batch_size=len(CELLS))
+    envs, tally = evaluate.begin(env, jax.random.split(jax.random.key(0), (len(CELLS), 1)), config["episode_length"])
     begin = jax.vmap(env.reset)(jax.numpy.broadcast_to(jax.random.key(0), (len(CELLS),)))
-    _, tally, *_ = jax.jit(pieces.advance)(policies, envs._replace(robot=begin), tally)
+    _, tally, *_ = jax.jit(partial(evaluate.advance, env, template, settings))(
+        policies, envs._replace(robot=begin), tally
+    )
     np.testing.assert_array_equal([len(one.reward) for one in played], tally.length)
     np.testing.assert_allclose([one.reward.sum() for one in played], tally.true_return, rtol=2e-3)
     np.testing.assert_allclose([one.contact.sum(0) for one in played], tally.proxy_sum, atol=1)
@@ -134,10 +136,10 @@ def test_marks_are_those_of_the_expert_and_the_demonstrations(tmp_path):
     config = read_config(expert)
     places = np.array([[0.3, 0.5], [0.7, 0.1]], np.float32)
     np.savez(tmp_path / f"demos-{config['demo_episodes']}.npz", elite_measures=places)
-    told = shown.told(shown.read([expert, imitator]))["runs"]
-    assert told[0]["top"] == sorted(CELLS, reverse=True)[:5]  # a fifth of 25 cells, and returns grow with the number
-    assert told[1]["top"] == []
-    np.testing.assert_allclose([one["demonstrators"] for one in told], [places, places], atol=1e-4)
+    runs = shown.content(shown.read([expert, imitator]))["runs"]
+    assert runs[0]["top"] == sorted(CELLS, reverse=True)[:5]  # a fifth of 25 cells, and returns grow with the number
+    assert runs[1]["top"] == []
+    np.testing.assert_allclose([one["demonstrators"] for one in runs], [places, places], atol=1e-4)
 
 
 def test_spread_out_cells_begin_with_the_best_and_are_all_different(folder):
@@ -147,11 +149,11 @@ def test_spread_out_cells_begin_with_the_best_and_are_all_different(folder):
 
 
 def test_legs_are_what_only_one_foot_hangs_on():
-    model = brax_robots.model("humanoid")
+    model = brax_robots.model(register.find("humanoid"))
     names = np.array([model.body(i + 1).name for i in range(model.nbody - 1)])
-    side = shown.legs("humanoid")
-    assert set(names[side == 0]) == {"right_thigh", "right_shin"}
-    assert set(names[side == 1]) == {"left_thigh", "left_shin"}
+    leg = shown.legs("humanoid")
+    assert set(names[leg == 0]) == {"right_thigh", "right_shin"}
+    assert set(names[leg == 1]) == {"left_thigh", "left_shin"}
 
 
 def test_a_page_holds_its_recordings_and_loads_nothing(folder, tmp_path):
@@ -213,9 +215,9 @@ def test_a_balls_picture_is_a_disc_of_the_right_size():
 
 def test_a_capsule_hides_what_is_behind_it_and_a_touching_foot_is_lit():
     robot, pose = shapes.shapes("walker2d"), shapes.first_pose("walker2d")
-    side = shown.legs("walker2d")
+    leg = shown.legs("walker2d")
     pictures = [
-        drawing.image(drawing.scene(robot, side, pose, np.array(feet)), np.array([0, 0, 0.7]), 1.4, 120, 120)
+        drawing.image(drawing.scene(robot, leg, pose, np.array(feet)), np.array([0, 0, 0.7]), 1.4, 120, 120)
         for feet in ([False, False], [True, False])
     ]
     changed = (pictures[0] != pictures[1]).any(axis=-1)
@@ -279,8 +281,8 @@ def test_a_history_beside_the_archive_gives_the_widget_its_slider(tmp_path):
     assert len(qdil.explore(path, live=True).children[0].children) == 1  # the colour menu alone
     explorer_runs.write_history(path, [1, 4, 9], [6, 12, 12], last=10)
     explored = qdil.explore(path, live=True)
-    told = explored.view.show["runs"][0]["history"]
-    assert told == {"iteration": [1, 4, 9], "index": [6, 12, 12], "last": 10, **explorer_runs.growing(3)}
+    history = explored.view.show["runs"][0]["history"]
+    assert history == {"iteration": [1, 4, 9], "index": [6, 12, 12], "last": 10, **explorer_runs.growing(3)}
     slider = explored.children[0].children[1].children[1]
     slider.value = 4
     assert explored.view.iteration == 4

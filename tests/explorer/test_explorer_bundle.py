@@ -17,6 +17,6 @@ def test_the_bundle_is_no_older_than_its_sources():
     for name in ["build.mjs", "package-lock.json", *(f"src/{name}" for name in scripts)]:
         made_from.update(f"{name}\n".encode() + (FRONTEND / name).read_bytes())
     first_line = (STATIC / "explorer.js").read_text().partition("\n")[0]
-    told = re.search(r"sources sha256:([0-9a-f]{64})", first_line)
-    assert told and told[1] == made_from.hexdigest(), "run 'make frontend' and commit qdil/explorer/static"
+    written = re.search(r"sources sha256:([0-9a-f]{64})", first_line)
+    assert written and written[1] == made_from.hexdigest(), "run 'make frontend' and commit qdil/explorer/static"
     assert (STATIC / "explorer.css").read_bytes() == (FRONTEND / "src" / "explorer.css").read_bytes()

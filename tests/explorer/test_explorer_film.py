@@ -1,4 +1,4 @@
-"""Films: of archives in memory, of chosen numbers, their strips, and what a coder that gives up says."""
+"""Films: of archives in memory, of chosen numbers, their strips, and the error of a coder that gives up."""
 
 import sys
 
@@ -9,12 +9,13 @@ import pytest
 from PIL import Image
 
 import qdil
-from qdil.runs.folder import read_archive
 from qdil.config import make_config, to_json
 from qdil.explorer import drawing, film
 from qdil.explorer.rollouts import Rollout
+from qdil.runs.folder import read_archive
 
 CELLS = [0, 6, 7, 12, 18, 23]
+pytestmark = pytest.mark.physics
 
 
 @pytest.fixture(scope="module")

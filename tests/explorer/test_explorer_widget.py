@@ -16,6 +16,7 @@ from qdil.explorer.pack import pack
 from qdil.series.index import ROOT
 
 CELLS = [0, 6, 7, 12, 18, 23]
+pytestmark = pytest.mark.physics
 
 
 @pytest.fixture(scope="module")

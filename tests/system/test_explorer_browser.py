@@ -3,6 +3,7 @@
 import os
 
 import explorer_runs
+import pytest
 from explorer_browser import (
     BEST,
     centre,
@@ -18,7 +19,7 @@ from explorer_browser import (
 import qdil
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 
 
 def test_a_page_plays_what_is_clicked(opened, runs):
@@ -98,16 +99,16 @@ def test_the_slider_replays_how_the_archive_filled(opened, runs, tmp_path):
     page = watched.page
     wait_for(page, "plays")
     end = page.evaluate("document.querySelector('.qdil-map').toDataURL()")
-    said = {}
+    texts = {}
     for iteration in ("1", "4", "10"):
         page.locator(".qdil-menus input[type=range]").fill(iteration)
         page.locator(".qdil-map").hover(position=centre(page, 12))
-        said[iteration] = page.locator(".qdil-tip").inner_text(), page.locator(".qdil-title").inner_text()
+        texts[iteration] = page.locator(".qdil-tip").inner_text(), page.locator(".qdil-title").inner_text()
         if iteration != "10":
             assert page.evaluate("document.querySelector('.qdil-map').toDataURL()") != end
-    assert said["1"][0].startswith("After iteration 1: none.") and said["4"][0].startswith("After iteration 4: 10.5.")
-    assert said["10"][0].startswith("Cell at") and "after" not in said["10"][1]
-    assert said["1"][1].endswith("after iteration 1")
+    assert texts["1"][0].startswith("After iteration 1: none.") and texts["4"][0].startswith("After iteration 4: 10.5.")
+    assert texts["10"][0].startswith("Cell at") and "after" not in texts["10"][1]
+    assert texts["1"][1].endswith("after iteration 1")
     page.locator(".qdil-menus input[type=range]").fill("4")
     page.locator(".qdil-menus select").nth(1).select_option("fitness")
     page.locator(".qdil-map").hover(position=centre(page, 6))

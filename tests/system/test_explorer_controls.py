@@ -1,30 +1,21 @@
 """The explorer's keys, time, camera and sentences in a real browser, as a page from a file."""
 
 import time
-from pathlib import Path
 
 import explorer_runs
 import pytest
-from explorer_browser import BEST, click, drawn, labels, needs_browser, time_shown, wait_for
+from explorer_browser import BEST, click, drawn, labels, needs_browser, script, time_shown, wait_for
 
 import qdil
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 
-SOURCES = Path(qdil.__file__).parent / "explorer" / "frontend" / "src"
 ROBOTS = "document.querySelector('.qdil-robots').toDataURL()"
 
 
 def cells(page):
     return [(int(one["run"]), int(one["cell"])) for one in labels(page)]
-
-
-def script(page, exposed: str, *names: str) -> None:
-    """Let a page call what the front end's own files define: ``exposed`` of ``names``, without their imports."""
-    lines = [line for name in names for line in (SOURCES / name).read_text().splitlines() if line[:7] != "import "]
-    page.add_script_tag(type="module", content="\n".join([*lines, f"globalThis.q = {{ {exposed} }};"]))
-    page.wait_for_function("globalThis.q")
 
 
 def test_a_refused_recording_stays_refused_and_says_why(opened, runs):
@@ -103,7 +94,7 @@ def test_a_held_key_asks_only_for_the_cell_where_it_ends(opened, runs):
 
 def test_two_histories_are_compared_at_one_time_on_one_scale(opened, runs):
     page = opened(qdil.explore(runs["true"], live=False)).page
-    script(page, "picture", "data.js")
+    script(page, "picture", "projection.js", "data.js")
     pictures = page.evaluate("""() => {
       const run = (returns) => ({
         cells: [1, 2], index: [0, 1], true_return: returns.slice(-2), fitness: [0, 0],
@@ -111,7 +102,7 @@ def test_two_histories_are_compared_at_one_time_on_one_scale(opened, runs):
       });
       const runs = [run([50, 60, 70]), run([10, 58, 71]), { ...run([0, 0, 0]), history: null }];
       const at = (against, iteration) => {
-        const drawn = q.picture(runs, { run: 0, against, field: "true_return", iteration });
+        const drawn = q.picture(runs, { run: 0, against, field: "true_return", iteration, axes: [0, 1] });
         return [[...drawn.values].map((value) => (isNaN(value) ? null : value)), drawn.high];
       };
       return [at(1, 1), at(1, 2), at(1, -1), at(2, 1)];

@@ -7,6 +7,7 @@ import shutil
 
 import nbformat
 import numpy as np
+import pytest
 from explorer_browser import (
     BEST,
     Watched,
@@ -25,7 +26,7 @@ from qdil.explorer import showcase
 from qdil.series.index import NOTEBOOKS, ROOT
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 
 
 # Resolves to the seconds from the next click to when its robot is there. The clock is the page's: the test's own would

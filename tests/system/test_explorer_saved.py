@@ -12,10 +12,10 @@ from nbconvert import HTMLExporter
 from PIL import Image
 
 import qdil
-from qdil.explorer import SIGNS_OF_LIFE
+from qdil.explorer import READER_VARIABLES
 
 pytest_plugins = ["explorer_browser"]
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.physics]
 LOCAL = {"mathjax_url": "", "require_js_url": ""}  # what a page of nbconvert's would otherwise load from elsewhere
 
 
@@ -24,7 +24,7 @@ def executed(tmp_path_factory, runs):
     """A notebook that a batch run executed: nobody is there to click."""
     folder = tmp_path_factory.mktemp("executed")
     nbformat.write(notebook(f"import qdil\nqdil.explore({str(runs['true'])!r})"), folder / "explore.ipynb")
-    alone = {name: value for name, value in os.environ.items() if name not in SIGNS_OF_LIFE}
+    alone = {name: value for name, value in os.environ.items() if name not in READER_VARIABLES}
     command = [sys.executable, "-m", "nbconvert", "--execute", "--to", "notebook", "--inplace", "explore.ipynb"]
     subprocess.run(command, cwd=folder, env=alone, check=True, capture_output=True)
     return nbformat.read(folder / "explore.ipynb", as_version=4)

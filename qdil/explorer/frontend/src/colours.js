@@ -1,4 +1,4 @@
-// Colour scales that remain in order for any kind of colour vision, and the two feet's colours.
+// Colour scales that remain in order for any kind of colour vision, and the colours of up to six feet and their legs.
 
 const VIRIDIS = [
   [68, 1, 84], [72, 26, 108], [71, 47, 125], [65, 68, 135], [57, 86, 140], [49, 104, 142], [42, 120, 142],
@@ -20,4 +20,6 @@ export const sequential = (share) => scale(VIRIDIS, share);
 /** Shares 0 (blue: less) by way of 0.5 (grey: equal) to 1 (orange: more). */
 export const diverging = (share) => scale(AROUND_ZERO, share);
 
-export const FEET = ["#e69f00", "#56b4e9"];
+// Okabe and Ito's colours, which any kind of colour vision tells apart; drawing.py has the same.
+export const FEET = ["#e69f00", "#56b4e9", "#009e73", "#d55e00", "#0072b2", "#cc79a7"];
+export const LEGS = ["#7d6b4f", "#5f7f96", "#4f7a6b", "#8a6450", "#4f6680", "#86697a"]; // each with a touch of its foot's

@@ -1,4 +1,6 @@
-// What the pictures are drawn from: a run's cells as arrays by cell number, at any iteration, compared with another run.
+// What the pictures are drawn from: a run's values by square of the map, at any iteration, compared with another run.
+
+import { emptyMap, firstCell, mapSize } from "./projection.js";
 
 export const FIELDS = {
   true_return: { name: "True return", unit: "reward units per episode" },
@@ -6,7 +8,7 @@ export const FIELDS = {
   difference: { name: "Learned fitness − true return", unit: "reward units per episode" },
 };
 
-// What is computed once for an object that doesn't change: a pointer that moves over the map asks for it again and again.
+// Values computed once for an object that does not change: every move of the pointer over the map reads them.
 const remembered = new WeakMap();
 
 function once(owner, key, compute) {
@@ -18,57 +20,65 @@ function once(owner, key, compute) {
 
 /** A cell's row among a run's elites, −1 where it is empty. */
 export function rowOf(run, cell) {
-  const rows = once(run, "rows", () => {
-    const all = new Int32Array(run.cells[0] * run.cells[1]).fill(-1);
-    run.index.forEach((one, i) => (all[one] = i));
-    return all;
-  });
-  return rows[cell] ?? -1;
+  return once(run, "rows", () => new Map(run.index.map((one, row) => [one, row]))).get(cell) ?? -1;
 }
 
 function valueOf(elites, field, i) {
   return field === "difference" ? elites.fitness[i] - elites.true_return[i] : elites[field][i];
 }
 
-export const comparable = (a, b) => a.cells[0] === b.cells[0] && a.cells[1] === b.cells[1];
+export const comparable = (a, b) => a.cells.join() === b.cells.join();
 
-/** The run that is subtracted, null where none is or where its grid differs. */
+/** The run that is subtracted; null where none is chosen or its grid differs. */
 export function rival(runs, { run, against }) {
   return against >= 0 && against !== run && comparable(runs[run], runs[against]) ? runs[against] : null;
 }
 
-/** The runs in the picture that kept no history. */
+/** The shown runs without a history. */
 export function forgetful(runs, state) {
   const other = rival(runs, state);
   return [runs[state.run], ...(other ? [other] : [])].filter((run) => !run.history);
 }
 
-/** The iteration that the picture shows; −1 is the end: asked for, or because a run in the picture kept no history. */
+/** The iteration that the map shows; −1 is the end, also where a shown run has no history. */
 export function iterationShown(runs, state) {
   return forgetful(runs, state).length ? -1 : state.iteration;
 }
 
-/** A run's `field` by cell after `iteration`; −1, and for a run that kept no history any: at its end. */
-export function values(run, field, iteration) {
-  const out = new Float64Array(run.cells[0] * run.cells[1]).fill(NaN);
-  if (iteration >= 0 && run.history) {
-    const { iteration: when, index } = run.history;
-    for (let i = 0; i < when.length && when[i] <= iteration; i++) out[index[i]] = valueOf(run.history, field, i);
-  } else {
-    run.index.forEach((cell, i) => (out[cell] = valueOf(run, field, i)));
-  }
-  return out;
+/** The rows of the best elites by square, −1 where a square is empty; rows of `history` after `iteration`, or of `run`. */
+function bestRows(run, axes, iteration) {
+  const past = iteration >= 0 && run.history;
+  const elites = past ? run.history : run;
+  const fill = () => {
+    const map = emptyMap(run.cells, axes, elites);
+    for (let row = 0; row < elites.index.length && !(past && elites.iteration[row] > iteration); row++) map.take(row);
+    const [columns, lines] = mapSize(run.cells, axes);
+    return Int32Array.from({ length: columns * lines }, (_, square) => map.best(square));
+  };
+  return past ? fill() : once(run, `best ${axes}`, fill);
 }
 
-/** One pair of bounds for all runs and iterations, so that a colour means the same in each. */
+/** The cell that a square stands for: that of its best elite at the run's end; where it is empty, its first cell. */
+export function cellOf(run, axes, square) {
+  const row = bestRows(run, axes, -1)[square];
+  return row < 0 ? firstCell(run.cells, axes, square) : run.index[row];
+}
+
+/** A run's `field` by square after `iteration`; at the run's end for −1 and for a run without a history. */
+export function values(run, field, iteration, axes) {
+  const elites = iteration >= 0 && run.history ? run.history : run;
+  return Float64Array.from(bestRows(run, axes, iteration), (row) => (row < 0 ? NaN : valueOf(elites, field, row)));
+}
+
+/** One pair of bounds for all runs, iterations and axes, so that a colour means the same in each. */
 export function bounds(runs, field) {
   return once(runs, field, () => {
     let low = Infinity, high = -Infinity;
-    for (const run of runs) {
-      const all = run.history ? run.history.index.map((_, i) => valueOf(run.history, field, i)) : [];
-      for (const value of [...values(run, field, -1), ...all]) {
+    for (const elites of runs.flatMap((run) => (run.history ? [run, run.history] : [run]))) {
+      elites.index.forEach((_, row) => {
+        const value = valueOf(elites, field, row);
         if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
-      }
+      });
     }
     if (low > high) return [0, 1];
     if (field === "difference") [low, high] = [-Math.max(-low, high, 0), Math.max(-low, high, 0)];
@@ -76,22 +86,25 @@ export function bounds(runs, field) {
   });
 }
 
-/** The largest difference between two runs in any cell, at the end and, where both kept it, on the way there. */
-function widest(a, b, field) {
-  const [mine, theirs] = [values(a, field, -1), values(b, field, -1)];
+/** The largest difference between two runs in any square, at the end and, if both have a history, at any iteration. */
+function widest(a, b, field, axes) {
+  const [ofA, ofB] = [values(a, field, -1, axes), values(b, field, -1, axes)];
   const larger = (most, gap) => (Math.abs(gap) > most ? Math.abs(gap) : most); // false for NaN
-  let most = mine.reduce((best, value, cell) => larger(best, value - theirs[cell]), 0);
+  let most = ofA.reduce((best, value, square) => larger(best, value - ofB[square]), 0);
   if (a.history && b.history) {
-    const taken = [a, b].flatMap(({ history }, side) => history.index.map((cell, i) => ({
-      side, cell, when: history.iteration[i], value: valueOf(history, field, i),
+    const events = [a, b].flatMap(({ history }, side) => history.index.map((_, row) => ({
+      side, row, when: history.iteration[row],
     })));
-    const now = [mine, theirs].map((all) => all.fill(NaN));
-    let changed = []; // cells, in the iteration that is gone through
-    taken.sort((p, q) => p.when - q.when).forEach(({ side, cell, value, when }, i) => {
-      now[side][cell] = value;
-      changed.push(cell);
-      if (taken[i + 1]?.when === when) return;
-      most = changed.reduce((best, one) => larger(best, now[0][one] - now[1][one]), most);
+    const maps = [a, b].map((run) => emptyMap(run.cells, axes, run.history));
+    const value = (side, square) => {
+      const row = maps[side].best(square);
+      return row < 0 ? NaN : valueOf([a, b][side].history, field, row);
+    };
+    let changed = []; // squares, in the iteration under way
+    events.sort((p, q) => p.when - q.when).forEach(({ side, row, when }, i) => {
+      changed.push(maps[side].take(row));
+      if (events[i + 1]?.when === when) return;
+      most = changed.reduce((best, square) => larger(best, value(0, square) - value(1, square)), most);
       changed = [];
     });
   }
@@ -100,20 +113,20 @@ function widest(a, b, field) {
 
 /** What the heatmap shows: {values, only (0 both or none, 1 first run alone, 2 second alone), low, high, diverges}. */
 export function picture(runs, state) {
-  const { run, against, field } = state;
+  const { run, against, field, axes } = state;
   const [other, iteration] = [rival(runs, state), iterationShown(runs, state)];
-  const mine = values(runs[run], field, iteration);
-  const only = new Uint8Array(mine.length);
+  const first = values(runs[run], field, iteration, axes);
+  const only = new Uint8Array(first.length);
   if (!other) {
     const [low, high] = bounds(runs, field);
-    return { values: mine, only, low, high, diverges: field === "difference" };
+    return { values: first, only, low, high, diverges: field === "difference" };
   }
-  const theirs = values(other, field, iteration);
-  mine.forEach((value, cell) => {
-    if (Number.isFinite(value) !== Number.isFinite(theirs[cell])) only[cell] = Number.isFinite(value) ? 1 : 2;
+  const second = values(other, field, iteration, axes);
+  first.forEach((value, square) => {
+    if (Number.isFinite(value) !== Number.isFinite(second[square])) only[square] = Number.isFinite(value) ? 1 : 2;
   });
-  const most = once(runs, `${field} ${run} ${against}`, () => widest(runs[run], other, field));
-  return { values: mine.map((value, cell) => value - theirs[cell]), only, low: -most, high: most, diverges: true };
+  const most = once(runs, `${field} ${run} ${against} ${axes}`, () => widest(runs[run], other, field, axes));
+  return { values: first.map((value, square) => value - second[square]), only, low: -most, high: most, diverges: true };
 }
 
 /** The last iteration that any run kept, or −1. */

@@ -19,8 +19,8 @@ function planes(raw, at, count) {
 export async function decode(bytes) {
   const raw = await inflate(bytes);
   const size = new DataView(raw.buffer).getUint32(0, true);
-  const told = JSON.parse(new TextDecoder().decode(raw.subarray(4, 4 + size)));
-  const { frames, links, steps } = told;
+  const header = JSON.parse(new TextDecoder().decode(raw.subarray(4, 4 + size)));
+  const { frames, links, steps } = header;
   let at = 4 + size;
   const channels = links * 7;
   const changes = planes(raw, at, channels * frames);
@@ -32,7 +32,7 @@ export async function decode(bytes) {
   for (let c = 0; c < channels; c++) {
     const isPlace = c < links * 3;
     const target = isPlace ? position : rotation;
-    const unit = isPlace ? told.position_unit : told.rotation_unit;
+    const unit = isPlace ? header.position_unit : header.rotation_unit;
     const width = isPlace ? links * 3 : links * 4;
     const offset = isPlace ? c : c - links * 3;
     let value = 0;
@@ -45,8 +45,8 @@ export async function decode(bytes) {
     const root = f * links * 3;
     for (let i = 3; i < links * 3; i++) position[root + i] += position[root + (i % 3)];
   }
-  const reward = Float32Array.from(levels, (level) => told.reward_low + level * told.reward_unit);
-  return { ...told, position, rotation, contact: raw.slice(at, at + steps), reward };
+  const reward = Float32Array.from(levels, (level) => header.reward_low + level * header.reward_unit);
+  return { ...header, position, rotation, contact: raw.slice(at, at + steps), reward };
 }
 
 /** Where frame time `t` seconds lies between poses: [frame before, frame after, share of the second]. */

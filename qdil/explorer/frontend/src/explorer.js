@@ -6,16 +6,17 @@ import { flatStage } from "./flat.js";
 import { cameraHands, mapHands, timeHands } from "./hands.js";
 import { heatmap } from "./heatmap.js";
 import { build, colours } from "./layout.js";
+import { squareOf } from "./projection.js";
 import { recordings } from "./recordings.js";
 import { selection } from "./selection.js";
 import { stage, startView, tilePlace } from "./stage.js";
 import { strips } from "./strips.js";
-import { captionOf, describe, said, tipOf, titleOf } from "./words.js";
+import { captionOf, describe, episodeText, tipOf, titleOf } from "./words.js";
 
 const REST = 0.8; // seconds between the end of the longest episode and the next showing
-const STATE = ["run", "against", "field", "iteration"];
+const STATE = ["run", "against", "field", "iteration", "axes"];
 
-/** Fills `el` from `host` (see main.js): {show, menus, get, set, on, request}. Returns a function that ends it. */
+/** Fills `el` from `host` (see main.js): {show, menus, get, set, on, request}. Returns a function that removes it all. */
 export function explorer(el, host) {
   const { show } = host;
   const { runs } = show;
@@ -23,17 +24,17 @@ export function explorer(el, host) {
   const [map, strip, view] = [heatmap(ui.map), strips(ui.strip), startView()];
   const clock = { time: 0, playing: !matchMedia("(prefers-reduced-motion: reduce)").matches, speed: 1 };
   const theStage = show.robot ? stageOf(ui, show.robot) : null;
-  const kept = recordings(host.request, () => { if (!ended) { tell(); dirty = true; } });
-  const choice = selection(host, runs, (watched) => {
-    if (watched) clock.time = 0;
+  const kept = recordings(host.request, () => { if (!ended) { writeStatus(); dirty = true; } });
+  const choice = selection(host, runs, (isNew) => {
+    if (isNew) clock.time = 0;
     kept.retry(state().run, choice.here());
-    refresh(); // the host calls for it only where the choice is another
+    refresh(); // the host itself calls it only for a new choice
   });
   let hover = -1, beside = false, ended = false, dirty = true, last = 0;
 
   const state = () => Object.fromEntries(STATE.map((name) => [name, host.get(name)]));
 
-  // ---- what is shown
+  // ---- drawing and text
 
   function tiles() {
     return choice.selected().map(([run, cell], n) => ({
@@ -43,42 +44,53 @@ export function explorer(el, host) {
 
   const span = () => Math.max(0, ...tiles().map((tile) => (tile.rollout ? duration(tile.rollout) : 0)));
 
-  function tell() {
+  function writeStatus() {
     const all = tiles();
+    const { run, axes } = state();
     ui.stage.classList.toggle("qdil-rows", all.length > 2);
     ui.labels.replaceChildren(...all.map((tile, n) => label(tile, runs[tile.run], n, all.length)));
-    const lines = all.map((tile) => (all.length > 1 ? `${tile.name}: ` : "") + describe(runs[tile.run], tile.cell));
-    const looked = cursor();
-    if (looked >= 0) lines.push(`The keys are at: ${describe(runs[state().run], looked)} Enter adds it.`);
+    const lines = all.map((tile) => (all.length > 1 ? `${tile.name}: ` : "") + describe(runs[tile.run], axes, tile.cell));
+    const at = cursor();
+    if (at >= 0) lines.push(`The keys are at: ${describe(runs[run], axes, at)} Enter adds it.`);
     const text = lines.join("\n") || "Choose a cell: click it, or use the arrow keys.";
-    if (ui.status.textContent !== text) ui.status.textContent = text; // or it is read aloud once more
+    if (ui.status.textContent !== text) ui.status.textContent = text; // an equal text would be read aloud again
   }
 
-  /** Where the keyboard stands, if that is no cell that is watched; otherwise −1. */
+  /** The cell where the keyboard stands, if it is not a chosen one; otherwise −1. */
   function cursor() {
     const [run, cell] = [state().run, choice.here()];
     return beside && !choice.selected().some(([r, c]) => r === run && c === cell) ? cell : -1;
   }
 
   function drawMap() {
-    const now = state();
-    const run = runs[now.run];
-    const few = show.playable && show.playable[now.run];
-    map.draw(picture(runs, now), run, {
-      ...colours(ui.root), hover, cursor: cursor(), compares: rival(runs, now) !== null,
+    const current = state();
+    const run = runs[current.run];
+    const few = show.playable && show.playable[current.run];
+    map.draw(picture(runs, current), run, current.axes, {
+      ...colours(ui.root), hover, cursor: cursor(), compares: rival(runs, current) !== null,
       playable: few && few.length < run.index.length ? few : null,
-      selected: tiles().filter((tile) => tile.run === now.run).map((tile) => [tile.cell, tile.name]),
+      selected: names(run, current),
     });
-    ui.title.textContent = titleOf(runs, now);
-    ui.caption.textContent = captionOf(runs, now, few);
+    ui.title.textContent = titleOf(runs, current);
+    ui.caption.textContent = captionOf(runs, current, few);
+  }
+
+  /** The map's run's robots: [cell, letter]; those in one square share it, with all their letters. */
+  function names(run, { run: number, axes }) {
+    const squares = new Map();
+    for (const tile of tiles().filter((tile) => tile.run === number)) {
+      const square = squareOf(run.cells, axes, tile.cell);
+      squares.set(square, [tile.cell, (squares.get(square)?.[1] ?? "") + tile.name]);
+    }
+    return [...squares.values()];
   }
 
   function drawAll() {
-    const looks = colours(ui.root);
+    const style = colours(ui.root);
     const all = tiles();
     const time = Math.min(clock.time, span());
-    if (theStage) theStage.draw(all.length ? all.map((tile) => tile.rollout || null) : [null], time, view, looks.dark);
-    strip.draw(all.length ? all : [{ rollout: null, name: "" }], runs[state().run].feet, time, looks);
+    if (theStage) theStage.draw(all.length ? all.map((tile) => tile.rollout || null) : [null], time, view, style.dark);
+    strip.draw(all.length ? all : [{ rollout: null, name: "" }], runs[state().run].feet, time, style);
     ui.scrubber.max = span() || 1;
     ui.scrubber.value = time;
     const rewards = all.filter((tile) => tile.rollout).map((tile) => number(tile.rollout.reward[stepAt(tile.rollout, time)]));
@@ -88,8 +100,9 @@ export function explorer(el, host) {
 
   function refresh() {
     ui.sync(state());
+    ui.axes.sync(state().axes);
     kept.fetch(choice.selected().filter(([run, cell]) => rowOf(runs[run], cell) >= 0 && runs[run].plays));
-    tell();
+    writeStatus();
     redraw();
   }
 
@@ -125,7 +138,7 @@ export function explorer(el, host) {
     dirty = true;
   }
 
-  // ---- hands
+  // ---- pointer and keys
 
   function pointed(cell, event) {
     if (cell !== hover) {
@@ -144,7 +157,7 @@ export function explorer(el, host) {
   function toggleBeside() {
     beside = !beside;
     ui.beside.setAttribute("aria-pressed", beside);
-    tell();
+    writeStatus();
     drawMap();
   }
 
@@ -165,10 +178,12 @@ export function explorer(el, host) {
   cameraHands(ui.stage, view, () => (dirty = true));
   ui.beside.addEventListener("click", toggleBeside);
   ui.alone.addEventListener("click", () => choice.selected().length && (host.set("selected", choice.selected().slice(-1)), refresh()));
-  ui.onMenu((name, value) => {
+  const change = (name, value) => {
     host.set(name, value);
     refresh();
-  });
+  };
+  ui.onMenu(change);
+  ui.axes.onChange((axes) => change("axes", axes));
   for (const name of [...STATE, "selected"]) host.on(name, refresh);
   const resized = new ResizeObserver(redraw);
   resized.observe(ui.root);
@@ -189,14 +204,14 @@ export function explorer(el, host) {
   };
 }
 
-/** What floats over one of `count` robots: whose it is, and what it earns. Its data are what tests read. */
+/** The label over one of `count` robots: its run and returns. Tests read its data attributes. */
 function label(tile, run, n, count) {
   const [x, y, w] = tilePlace(n, count);
   const [box, head, text] = ["div", "b", "span"].map((tag) => document.createElement(tag));
   box.className = "qdil-label";
   Object.assign(box.style, { left: `${100 * x}%`, top: `${100 * y}%`, width: `${100 * w}%` });
   head.textContent = `${count > 1 ? `${tile.name}: ` : ""}${run.name}`;
-  text.textContent = said(run, tile, count);
+  text.textContent = episodeText(run, tile, count);
   box.append(head, text);
   const unseen = tile.row < 0 ? "empty" : tile.error ? "error" : run.plays ? "waits" : "none";
   Object.assign(box.dataset, { cell: tile.cell, run: tile.run, state: tile.rollout ? "plays" : unseen });
@@ -208,7 +223,7 @@ function stageOf(ui, robot) {
   try {
     return stage(ui.robots, robot);
   } catch {
-    const canvas = ui.robots.cloneNode(); // one that was asked for WebGL can't be drawn on otherwise
+    const canvas = ui.robots.cloneNode(); // a canvas that was asked for WebGL gives no other context
     ui.robots.replaceWith(canvas);
     ui.robots = canvas;
     return flatStage(canvas, robot);

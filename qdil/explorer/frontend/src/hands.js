@@ -1,17 +1,17 @@
-// Pointer and keys: what a reader's hands do to the map, the robots and the time.
+// Pointer and keys on the map, the robots and the time.
 
 import { startView } from "./stage.js";
 
 const MOVES = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-const FRAME = 0.01; // seconds, a step where no robot says how long its own are
+const FRAME = 0.01; // seconds, the length of a step while no robot is loaded
 
-/** What a key event means: letters whatever Shift and Caps Lock do to them; "" for the shortcuts of browser and editor. */
+/** The key of an event: letters in lower case, whatever Shift and Caps Lock do; "" for shortcuts of browser and editor. */
 function keyOf(event) {
   if (event.ctrlKey || event.metaKey || event.altKey) return "";
   return event.key.length === 1 ? event.key.toLowerCase() : event.key;
 }
 
-/** Calls `act(key, event)` for keys; those that it does not answer with false are kept from scrolling and the notebook. */
+/** Calls `act(key, event)`. Unless `act` returns false, the key neither scrolls the page nor reaches the notebook. */
 function onKeys(element, act) {
   element.addEventListener("keydown", (event) => {
     if (act(keyOf(event), event) === false) return;
@@ -42,7 +42,7 @@ export function mapHands(canvas, map, { choice, best, beside, hover, keyPressed 
   });
 }
 
-/** Time, from anywhere in the explorer. `time` {playing, toggle, seek, now, step}. */
+/** Time keys, anywhere in the explorer. `time` {toggle, seek, now, step, pace}. */
 export function timeHands(ui, strip, time) {
   onKeys(ui.root, (key, event) => {
     if (event.target.matches("button, select, input")) return false;
@@ -57,7 +57,7 @@ export function timeHands(ui, strip, time) {
   drag(ui.strip, (event) => time.seek(strip.timeAt(event)), true);
 }
 
-/** The camera: `view` is changed in place, then `changed()` called. */
+/** The camera: changes `view` in place, then calls `changed()`. */
 export function cameraHands(stage, view, changed) {
   const turn = (azimuth, elevation) => {
     view.azimuth += azimuth;
@@ -82,7 +82,7 @@ export function cameraHands(stage, view, changed) {
   });
 }
 
-// Calls `move` while a pointer is held down, and, if asked, where it went down.
+// Calls `move` while a pointer is dragged; with `atOnce`, also where it went down.
 function drag(element, move, atOnce = false) {
   element.addEventListener("pointerdown", (event) => {
     if (event.button) return;

@@ -1,57 +1,70 @@
-// The archive as a picture: cells on the measure square, marks of the demonstrators, the colour bar.
+// The archive as a picture over one or two of its axes: a strip or a square of coloured squares, marks of the
+// demonstrators, the colour bar. See projection.js for squares and cells.
 
-import { diverging, sequential } from "./colours.js";
-import { number } from "./data.js";
 import { prepare } from "./canvas.js";
+import { diverging, sequential } from "./colours.js";
+import { cellOf, number } from "./data.js";
+import { mapSize, squareOf } from "./projection.js";
 
 const LEFT = 50, BOTTOM = 46, TOP = 10, BAR = 74;
+const STRIP = 110; // pixels, the height of a strip: room to click, and for the colour bar's numbers
 
 export function heatmap(canvas) {
-  let area = { x: LEFT, y: TOP, size: 100 };
-  let dims = [1, 1];
+  let area = { x: LEFT, y: TOP, width: 100, height: 100 };
+  let drawn = null; // {run, axes} of the last drawing
+  let [columns, lines] = [1, 1];
 
+  /** The cell that the square under the pointer stands for; −1 beside the map. */
   function cellAt(event) {
     const box = canvas.getBoundingClientRect();
-    const i = Math.floor(((event.clientX - box.left - area.x) / area.size) * dims[0]);
-    const j = Math.floor((1 - (event.clientY - box.top - area.y) / area.size) * dims[1]);
-    return i >= 0 && j >= 0 && i < dims[0] && j < dims[1] ? i * dims[1] + j : -1;
+    const i = Math.floor(((event.clientX - box.left - area.x) / area.width) * columns);
+    const j = Math.floor((1 - (event.clientY - box.top - area.y) / area.height) * lines);
+    const isInside = drawn && i >= 0 && j >= 0 && i < columns && j < lines;
+    return isInside ? cellOf(drawn.run, drawn.axes, i * lines + j) : -1;
   }
 
-  /** Screen rectangle of a cell: [x, y, width, height]. Cell number = i·(cells of measure 2) + j. */
-  function place(cell) {
-    const [i, j] = [Math.floor(cell / dims[1]), cell % dims[1]];
-    const [w, h] = [area.size / dims[0], area.size / dims[1]];
-    return [area.x + i * w, area.y + area.size - (j + 1) * h, w, h];
+  /** Screen rectangle of a square: [x, y, width, height]. */
+  function rectangle(square) {
+    const [i, j] = [Math.floor(square / lines), square % lines];
+    const [w, h] = [area.width / columns, area.height / lines];
+    return [area.x + i * w, area.y + area.height - (j + 1) * h, w, h];
   }
 
-  function draw(picture, run, looks) {
-    dims = run.cells;
+  /** Screen rectangle of the square that holds a cell. */
+  const place = (cell) => rectangle(squareOf(drawn.run.cells, drawn.axes, cell));
+
+  function draw(picture, run, axes, style) {
+    drawn = { run, axes };
+    [columns, lines] = mapSize(run.cells, axes);
     const { g, width, height } = prepare(canvas);
-    area = { x: LEFT, y: TOP, size: Math.max(40, Math.min(width - LEFT - BAR, height - TOP - BOTTOM)) };
+    const size = Math.max(40, Math.min(width - LEFT - BAR, height - TOP - BOTTOM));
+    area = axes.length > 1
+      ? { x: LEFT, y: TOP, width: size, height: size }
+      : { x: LEFT, y: TOP, width: Math.max(40, width - LEFT - BAR), height: STRIP };
     const colour = picture.diverges ? diverging : sequential;
     const share = (value) => (value - picture.low) / (picture.high - picture.low);
-    const hatch = hatching(g, looks.dark);
-    const gap = dims[0] > 40 ? 0.25 : 0.5;
-    for (let cell = 0; cell < picture.values.length; cell++) {
-      const [x, y, w, h] = place(cell);
-      const value = picture.values[cell];
-      g.fillStyle = Number.isFinite(value) ? colour(share(value)) : looks.dark ? "#3a3a3a" : "#e2e2e2";
+    const hatch = hatching(g, style.dark);
+    const gap = columns > 40 ? 0.25 : 0.5;
+    for (let square = 0; square < picture.values.length; square++) {
+      const [x, y, w, h] = rectangle(square);
+      const value = picture.values[square];
+      g.fillStyle = Number.isFinite(value) ? colour(share(value)) : style.dark ? "#3a3a3a" : "#e2e2e2";
       g.fillRect(x + gap, y + gap, w - 2 * gap, h - 2 * gap);
-      if (picture.only[cell]) mark(g, picture.only[cell], x, y, w, h, looks.text);
+      if (picture.only[square]) mark(g, picture.only[square], x, y, w, h, style.text);
       else if (!Number.isFinite(value)) {
         g.fillStyle = hatch;
         g.fillRect(x + gap, y + gap, w - 2 * gap, h - 2 * gap);
       }
     }
-    if (!looks.compares) tops(g, run, place);
-    if (looks.playable) playable(g, looks.playable, place);
-    stars(g, run, area);
-    chosen(g, looks, place);
-    axes(g, area, run, looks);
-    bar(g, area, picture, colour, looks);
+    if (!style.compares) tops(g, run, place);
+    if (style.playable) playable(g, style.playable, place);
+    stars(g, run, axes, area);
+    chosen(g, style, place);
+    frame(g, area, run, axes, style);
+    bar(g, area, picture, colour, style);
   }
 
-  return { draw, cellAt, place };
+  return { draw, cellAt };
 }
 
 function hatching(g, dark) {
@@ -105,9 +118,10 @@ function playable(g, cells, place) {
   }
 }
 
-function stars(g, run, area) {
-  for (const [first, second] of run.demonstrators) {
-    const [cx, cy] = [area.x + first * area.size, area.y + (1 - second) * area.size];
+function stars(g, run, axes, area) {
+  for (const measures of run.demonstrators) {
+    const up = axes.length > 1 ? measures[axes[1]] : 0.5;
+    const [cx, cy] = [area.x + measures[axes[0]] * area.width, area.y + (1 - up) * area.height];
     g.beginPath();
     for (let i = 0; i < 10; i++) {
       const r = i % 2 ? 3.6 : 8.5, a = (i * Math.PI) / 5 - Math.PI / 2;
@@ -122,57 +136,59 @@ function stars(g, run, area) {
   }
 }
 
-function chosen(g, looks, place) {
-  const frame = (cell, outer, inner) => {
+function chosen(g, style, place) {
+  const outline = (cell, outer, inner) => {
     const [x, y, w, h] = place(cell);
     g.lineWidth = 4; g.strokeStyle = outer; g.strokeRect(x, y, w, h);
     g.lineWidth = 1.8; g.strokeStyle = inner; g.strokeRect(x, y, w, h);
   };
-  if (looks.hover >= 0) frame(looks.hover, "rgba(255,255,255,.7)", "rgba(0,0,0,.6)");
-  if (looks.cursor >= 0) {
+  if (style.hover >= 0) outline(style.hover, "rgba(255,255,255,.7)", "rgba(0,0,0,.6)");
+  if (style.cursor >= 0) {
     g.setLineDash([4, 3]);
-    frame(looks.cursor, "#fff", "#000");
+    outline(style.cursor, "#fff", "#000");
     g.setLineDash([]);
   }
-  looks.selected.forEach(([cell, name]) => {
-    frame(cell, "#fff", "#000");
+  style.selected.forEach(([cell, name]) => {
+    outline(cell, "#fff", "#000");
     const [x, y, w] = place(cell);
     g.font = "bold 11px sans-serif";
     g.fillStyle = "#000";
-    g.fillRect(x + w - 3, y - 9, 13, 13);
+    g.fillRect(x + w - 3, y - 9, 13 + 9 * (name.length - 1), 13);
     g.fillStyle = "#fff";
     g.textAlign = "center"; g.textBaseline = "middle";
-    g.fillText(name, x + w + 3.5, y - 2);
+    g.fillText(name, x + w + 3.5 + 4.5 * (name.length - 1), y - 2);
   });
 }
 
-function axes(g, area, run, looks) {
-  g.fillStyle = looks.text;
-  g.strokeStyle = looks.text;
+function frame(g, area, run, axes, style) {
+  const name = (axis) => `share of time on the ground: ${run.feet[axis]}`;
+  g.fillStyle = style.text;
+  g.strokeStyle = style.text;
   g.lineWidth = 1;
-  g.strokeRect(area.x, area.y, area.size, area.size);
+  g.strokeRect(area.x, area.y, area.width, area.height);
   g.font = "11px sans-serif";
   g.textAlign = "center"; g.textBaseline = "top";
-  const bottom = area.y + area.size;
-  for (const tick of [0, 0.5, 1]) g.fillText(tick.toString(), area.x + tick * area.size, bottom + 5);
-  g.fillText(`share of time on the ground: ${run.feet[0]}`, area.x + area.size / 2, bottom + 22);
+  const bottom = area.y + area.height;
+  for (const tick of [0, 0.5, 1]) g.fillText(tick.toString(), area.x + tick * area.width, bottom + 5);
+  g.fillText(name(axes[0]), area.x + area.width / 2, bottom + 22);
+  if (axes.length < 2) return;
   g.textAlign = "right"; g.textBaseline = "middle";
-  for (const tick of [0, 0.5, 1]) g.fillText(tick.toString(), area.x - 6, bottom - tick * area.size);
+  for (const tick of [0, 0.5, 1]) g.fillText(tick.toString(), area.x - 6, bottom - tick * area.height);
   g.save();
-  g.translate(area.x - 36, area.y + area.size / 2);
+  g.translate(area.x - 36, area.y + area.height / 2);
   g.rotate(-Math.PI / 2);
   g.textAlign = "center";
-  g.fillText(`share of time on the ground: ${run.feet[1]}`, 0, 0);
+  g.fillText(name(axes[1]), 0, 0);
   g.restore();
 }
 
-function bar(g, area, picture, colour, looks) {
-  const [x, y, w, h] = [area.x + area.size + 14, area.y, 12, area.size];
+function bar(g, area, picture, colour, style) {
+  const [x, y, w, h] = [area.x + area.width + 14, area.y, 12, area.height];
   for (let i = 0; i < h; i++) {
     g.fillStyle = colour(1 - i / h);
     g.fillRect(x, y + i, w, 1.5);
   }
-  g.fillStyle = looks.text;
+  g.fillStyle = style.text;
   g.textAlign = "left"; g.textBaseline = "middle";
   for (const part of [0, 0.5, 1]) {
     const value = picture.low + part * (picture.high - picture.low);

@@ -1,4 +1,4 @@
-// The explorer's elements, by name; nothing here knows what they are for.
+// The explorer's HTML elements, by name, without behaviour.
 
 import { FIELDS, lastIteration } from "./data.js";
 import { replay } from "./replay.js";
@@ -19,12 +19,13 @@ const labelled = (text, control) => make("label", {}, make("span", { textContent
 export function build(el, show, withMenus) {
   const ui = {};
   ui.map = make("canvas", {
-    className: "qdil-map", tabIndex: 0, role: "application",
+    className: show.runs[0].cells.length > 1 ? "qdil-map" : "qdil-map qdil-one-axis", tabIndex: 0, role: "application",
     "aria-label": "The archive. Arrow keys move from cell to cell, B goes to the best, with Shift a robot is added beside. "
       + "S lets several robots walk side by side: arrow keys then only move, and Enter adds a cell or takes it away.",
   });
   ui.tip = make("div", { className: "qdil-tip", hidden: true });
   ui.title = make("div", { className: "qdil-title" });
+  ui.axes = axisMenus(show.runs[0]);
   ui.caption = make("div", { className: "qdil-caption" });
   ui.robots = make("canvas", { className: "qdil-robots" });
   ui.labels = make("div", { className: "qdil-labels" });
@@ -49,11 +50,31 @@ export function build(el, show, withMenus) {
   });
   ui.root = make("div", { className: "qdil-explorer", "data-lm-suppress-shortcuts": "true" }, menus,
     make("div", { className: "qdil-columns" },
-      make("div", { className: "qdil-left" }, ui.title, make("div", { className: "qdil-over" }, ui.map, ui.tip), ui.caption),
+      make("div", { className: "qdil-left" }, ui.title, ui.axes.bar, make("div", { className: "qdil-over" }, ui.map, ui.tip), ui.caption),
       make("div", { className: "qdil-right" }, ui.stage, controls, ui.strip, help)),
     ui.status);
   el.replaceChildren(ui.root);
   return ui;
+}
+
+/** Two menus that choose which of more than two feet the map's axes show: {bar, onChange, sync}. */
+function axisMenus({ feet, cells }) {
+  let axes = [];
+  const menus = cells.length > 2 ? ["Across", "Up"].map((way) => make("select", { "aria-label": `${way}: the foot on this axis` }, ...feet.map((foot, k) => option(k, foot)))) : [];
+  const bar = make("div", { className: "qdil-menus", hidden: !menus.length });
+  menus.forEach((menu, n) => bar.append(labelled(["Across", "Up"][n], menu)));
+  return {
+    bar,
+    /** Calls `then(axes)`. A foot that the other axis shows changes places with this axis's. */
+    onChange: (then) => menus.forEach((menu, n) => menu.addEventListener("input", () => {
+      const chosen = Number(menu.value);
+      then(axes.map((axis, m) => (m === n ? chosen : axis === chosen ? axes[n] : axis)));
+    })),
+    sync(current) {
+      axes = current;
+      menus.forEach((menu, n) => (menu.value = String(axes[n])));
+    },
+  };
 }
 
 // Menus for a page of its own; in a notebook ipywidgets stand above instead.
@@ -65,7 +86,7 @@ build.menus = (ui, show, withMenus) => {
     against: make("select", {}, option(-1, "nothing"), ...runs.map((run, i) => option(i, run.name))),
     iteration: make("input", { type: "range", min: 0, max: lastIteration(runs), step: 1 }),
   };
-  const said = make("output", { "aria-live": "off" });
+  const iteration = make("output", { "aria-live": "off" });
   const player = make("button", { type: "button", className: "qdil-replay", textContent: "▶", "aria-label": "Replay how the archive filled", "aria-pressed": false });
   ui.stopReplay = replay(player, menu.iteration);
   ui.onMenu = (then) => {
@@ -79,17 +100,17 @@ build.menus = (ui, show, withMenus) => {
   ui.sync = (state) => {
     for (const [name, control] of Object.entries(menu)) control.value = String(state[name]);
     if (state.iteration < 0) menu.iteration.value = menu.iteration.max;
-    said.textContent = state.iteration < 0 ? "end" : state.iteration;
+    iteration.textContent = state.iteration < 0 ? "end" : state.iteration;
   };
   const bar = make("div", { className: "qdil-menus" }, labelled("Colour", menu.field));
   if (runs.length > 1) bar.prepend(labelled("Run", menu.run));
   if (runs.length > 1) bar.append(labelled("Minus", menu.against));
-  if (lastIteration(runs) >= 0) bar.append(player, make("label", {}, make("span", { textContent: "After iteration" }), menu.iteration, said));
+  if (lastIteration(runs) >= 0) bar.append(player, make("label", {}, make("span", { textContent: "After iteration" }), menu.iteration, iteration));
   bar.hidden = !withMenus;
   return bar;
 };
 
-/** What drawings on canvases take from the page around them: {text, dark, faint}. */
+/** The colours that drawings on canvases take from the page around them: {text, dark, faint}. */
 export function colours(root) {
   const style = getComputedStyle(root);
   const dark = isDark(style.backgroundColor);

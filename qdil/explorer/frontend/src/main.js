@@ -3,9 +3,9 @@
 import { decode } from "./decode.js";
 import { explorer } from "./explorer.js";
 
-const PATIENCE = 120; // seconds to wait for the kernel; a first rollout may have to compile
+const PATIENCE = 120; // seconds to wait for the kernel: the first rollout compiles
 
-/** anywidget's entry. Returns what cleans up when the widget goes. */
+/** anywidget's entry. Returns a function that cleans up when the widget is removed. */
 function render({ model, el }) {
   const waiting = new Map();
   const onMessage = (message, buffers) => {
@@ -34,7 +34,7 @@ function render({ model, el }) {
       waiting.set(key, answer);
       model.send({ type: "want", run, cell });
       setTimeout(() => {
-        if (waiting.delete(key)) answer.no(new Error("The kernel does not answer: is it busy with a cell, or gone?"));
+        if (waiting.delete(key)) answer.no(new Error("The kernel does not answer: it may be busy with another cell, or have stopped."));
       }, PATIENCE * 1000);
       return answer.promise;
     },
@@ -46,9 +46,9 @@ function render({ model, el }) {
   };
 }
 
-/** A page's entry. `data`: {show, rollouts: {"run:cell": base64}, state}. */
+/** A page's entry. `data`: {show, rollouts: {"run:cell": base64}, state}, all of the state (see page.py). */
 function mount(el, data) {
-  const state = { run: 0, against: -1, field: "true_return", iteration: -1, selected: [], ...data.state };
+  const { state } = data;
   const listeners = new Map();
   const host = {
     show: data.show,
@@ -65,7 +65,7 @@ function mount(el, data) {
       return decode(Uint8Array.from(atob(packed), (c) => c.charCodeAt(0)));
     },
   };
-  // Until here the page was clear, so that a picture under it could be seen.
+  // Only now cover the picture that lies under the page in a notebook's output.
   Object.assign(document.body.style, { background: "#fff", minHeight: "100vh" });
   return explorer(el, host);
 }

@@ -1,8 +1,8 @@
-// The rollouts that were asked for: there, on their way, or refused.
+// Every requested rollout: received, under way, or refused.
 
-const SETTLES = 120; // milliseconds; a held arrow key must not ask for every cell that it passes
+const SETTLES = 120; // milliseconds; a held arrow key must not request every cell that it passes
 
-/** `request(run, cell)` promises a rollout; `arrived()` is called whenever one came or was refused. */
+/** `request(run, cell)` promises a rollout; `arrived()` is called after each answer. */
 export function recordings(request, arrived) {
   const known = new Map(); // "run:cell" -> {rollout} or {error} or {}
   let timer = 0, keyed = -Infinity;
@@ -20,9 +20,9 @@ export function recordings(request, arrived) {
   }
 
   return {
-    /** {rollout} or {error}, or neither while it is on its way. */
+    /** {rollout} or {error}; neither while the request is under way. */
     of: (run, cell) => known.get(`${run}:${cell}`) || {},
-    /** Asks for what is missing; a moment later if a key was pressed just now. */
+    /** Requests the missing rollouts; after a key press it waits a moment first. */
     fetch(wanted) {
       clearTimeout(timer);
       const rest = keyed + SETTLES - performance.now();
@@ -30,7 +30,7 @@ export function recordings(request, arrived) {
       else fetch(wanted);
     },
     keyPressed: () => (keyed = performance.now()),
-    /** Forgets that a cell was refused, so that choosing it again asks again. */
+    /** Forgets a refusal, so that the next choice of the cell requests it again. */
     retry(run, cell) {
       if (known.get(`${run}:${cell}`)?.error) known.delete(`${run}:${cell}`);
     },

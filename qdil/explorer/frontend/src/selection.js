@@ -1,50 +1,52 @@
-// Which cells are watched, up to four, and where the keyboard stands among them.
+// The chosen cells, up to four, and the cell where the keyboard stands.
 
-import { comparable } from "./data.js";
+import { cellOf, comparable } from "./data.js";
+import { cellNumber, coordinates, mapSize, squareOf } from "./projection.js";
 
 const MOST = 4; // robots side by side
 
-/** `changed(watched)`: another choice; `watched` false where only the keyboard's place moved. */
+/** `changed(isNew)` is called after every choice; `isNew` is false where only the keyboard's place moved. */
 export function selection(host, runs, changed) {
   let cursor = null; // [run, cell] where the keyboard stands
-  let known = ""; // the choice at that time: another one, from the kernel for instance, takes the keyboard along
+  let known = ""; // the chosen cells at that time; when the kernel chooses others, the keyboard follows
 
   const selected = () => host.get("selected");
   const same = ([run, cell], [r, c]) => run === r && cell === c;
 
-  /** The cell of the map's run from which keys move, −1 where nothing was chosen yet. */
+  /** The cell of the map's run from which keys move; −1 before the first choice. */
   function here() {
-    const now = selected();
-    const at = cursor && known === JSON.stringify(now) ? cursor : now[now.length - 1];
+    const chosen = selected();
+    const at = cursor && known === JSON.stringify(chosen) ? cursor : chosen[chosen.length - 1];
     return at ? carried(runs[at[0]], runs[host.get("run")], at[1]) : -1;
   }
 
   /**
-   * Watches a cell of the map's run. `how`: "alone"; "add" beside the others; "toggle", which also takes one away that
-   * is there; "look", which only moves the keyboard's place.
+   * Chooses a cell of the map's run. `how`: "alone"; "add", beside the others; "toggle", which also takes a chosen cell
+   * away; "look", which only moves the keyboard's place.
    */
   function choose(cell, how = "alone") {
     const one = [host.get("run"), cell];
-    const now = selected();
-    const isThere = now.some((other) => same(other, one));
-    let next = now;
+    const chosen = selected();
+    const isChosen = chosen.some((other) => same(other, one));
+    let next = chosen;
     if (how === "alone") next = [one];
-    else if (how !== "look" && !isThere) next = [...now.slice(now.length < MOST ? 0 : 1), one];
-    else if (how === "toggle" && now.length > 1) next = now.filter((other) => !same(other, one));
+    else if (how !== "look" && !isChosen) next = [...chosen.slice(chosen.length < MOST ? 0 : 1), one];
+    else if (how === "toggle" && chosen.length > 1) next = chosen.filter((other) => !same(other, one));
     [cursor, known] = [one, JSON.stringify(next)];
-    if (next !== now) host.set("selected", next);
-    changed(next !== now);
+    if (next !== chosen) host.set("selected", next);
+    changed(next !== chosen);
   }
 
-  /** A key's step of `across` columns and `up` rows; the first one goes to the best cell. */
+  /** A key's step of `across` columns and `up` rows of the map; the first one goes to the best cell. */
   function move([across, up], how) {
-    const run = runs[host.get("run")];
-    const [columns, lines] = run.cells;
+    const [run, axes] = [runs[host.get("run")], host.get("axes")];
+    const [columns, lines] = mapSize(run.cells, axes);
     const at = here();
     if (at < 0) return choose(run.best, how);
-    const i = Math.min(Math.max(Math.floor(at / lines) + across, 0), columns - 1);
-    const j = Math.min(Math.max((at % lines) + up, 0), lines - 1);
-    choose(i * lines + j, how);
+    const square = squareOf(run.cells, axes, at);
+    const i = Math.min(Math.max(Math.floor(square / lines) + across, 0), columns - 1);
+    const j = Math.min(Math.max((square % lines) + up, 0), lines - 1);
+    choose(cellOf(run, axes, i * lines + j), how);
   }
 
   return { selected, here, choose, move };
@@ -53,7 +55,6 @@ export function selection(host, runs, changed) {
 /** The cell of `to` at the place of a cell of `from`: their grids may differ. */
 function carried(from, to, cell) {
   if (comparable(from, to)) return cell;
-  const [i, j] = [Math.floor(cell / from.cells[1]), cell % from.cells[1]];
-  const along = (n, k) => Math.floor(((n + 0.5) / from.cells[k]) * to.cells[k]);
-  return along(i, 0) * to.cells[1] + along(j, 1);
+  const along = (place, axis) => Math.floor(((place + 0.5) / from.cells[axis]) * to.cells[axis]);
+  return cellNumber(to.cells, coordinates(from.cells, cell).map(along));
 }

@@ -1,16 +1,15 @@
-// Up to four robots on a ground plane, each in its own part of one canvas, seen by one camera that goes with each.
+// Up to four robots, each on the ground in its own part of one canvas. One camera follows each robot in turn.
 
 import {
   CanvasTexture, CapsuleGeometry, Color, DirectionalLight, Fog, Group, HemisphereLight, Mesh, MeshBasicMaterial,
   MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Quaternion, RepeatWrapping, RingGeometry, Scene,
   SphereGeometry, SRGBColorSpace, Vector3, WebGLRenderer,
 } from "three";
-import { FEET } from "./colours.js";
+import { FEET, LEGS } from "./colours.js";
 import { between, stepAt } from "./decode.js";
 
 const UP = new Vector3(0, 0, 1);
 const BODY = "#9aa3b2";
-const SIDES = ["#7d6b4f", "#5f7f96"]; // legs, each with a touch of its foot's colour
 const GROUND = 60; // metres across
 
 /** Where tile `n` of `count` lies, in shares of the canvas: [x, y from the top, width, height]. */
@@ -25,7 +24,7 @@ export function startView() {
   return { azimuth: -Math.PI / 2 + 0.35, elevation: 0.16, distance: 1 };
 }
 
-/** Throws where the browser has no WebGL. */
+/** Draws `robot` (see shown.py) with three.js. Throws where the browser has no WebGL. */
 export function stage(canvas, robot) {
   const renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
   renderer.shadowMap.enabled = true;
@@ -76,9 +75,9 @@ export function stage(canvas, robot) {
     camera.position.set(
       target.x + Math.cos(azimuth) * flat, target.y + Math.sin(azimuth) * flat, Math.max(0.05, target.z + Math.sin(elevation) * far),
     );
-    camera.setViewOffset(width, tall, 0, -LABEL / 2, width, tall); // in the middle of what the label leaves free
+    camera.setViewOffset(width, tall, 0, -LABEL / 2, width, tall); // centred in the space below the label
     camera.lookAt(target);
-    // The ground goes with the robot by whole tiles, so that it seems to lie still.
+    // Move the ground with the robot by whole tiles: the tiles then seem to lie still.
     ground.position.set(2 * Math.round(target.x / 2), 2 * Math.round(target.y / 2), 0);
     sun.target.position.set(target.x, target.y, 0);
     sun.position.set(target.x - 1.2 * height, target.y - 2 * height, 3.4 * height);
@@ -130,11 +129,11 @@ function makeRobot(robot) {
   const links = Array.from({ length: robot.links }, () => new Group());
   const feet = robot.feet.map(() => []);
   group.add(...links);
-  for (const { link, ends, radius, foot, side } of robot.capsules) {
+  for (const { link, ends, radius, foot, leg } of robot.capsules) {
     const [a, b] = [new Vector3(...ends.slice(0, 3)), new Vector3(...ends.slice(3))];
     const length = a.distanceTo(b);
     const shape = length > 1e-6 ? new CapsuleGeometry(radius, length, 8, 20) : new SphereGeometry(radius, 24, 16);
-    const material = new MeshStandardMaterial({ color: side >= 0 ? SIDES[side % 2] : BODY, roughness: 0.55, metalness: 0.05 });
+    const material = new MeshStandardMaterial({ color: leg >= 0 ? LEGS[leg % LEGS.length] : BODY, roughness: 0.55, metalness: 0.05 });
     const mesh = new Mesh(shape, material);
     mesh.castShadow = mesh.receiveShadow = true;
     mesh.position.copy(a).add(b).multiplyScalar(0.5);
@@ -142,7 +141,7 @@ function makeRobot(robot) {
     links[link].add(mesh);
     if (foot >= 0) feet[foot].push(mesh);
   }
-  // A ring on the ground under a foot that touches it says without colour what its light says.
+  // Each touching foot also gets a ring on the ground, for readers who cannot tell the colours apart.
   const rings = robot.feet.map((_, k) => {
     const ring = new Mesh(new RingGeometry(0.16, 0.21, 40), new MeshBasicMaterial({ color: FEET[k % FEET.length] }));
     group.add(ring);
@@ -153,7 +152,7 @@ function makeRobot(robot) {
 
 const [qa, qb, foot] = [new Quaternion(), new Quaternion(), new Vector3()];
 
-/** Puts a robot into the pose at `time` and returns where its first link, the torso, is. */
+/** Puts a robot into the pose at `time`; returns the position of its first link, the torso. */
 function pose(body, rollout, time) {
   const [first, second, share] = between(rollout, time);
   const { position: p, rotation: r, links } = rollout;
@@ -173,14 +172,14 @@ function pose(body, rollout, time) {
     const on = (touching >> k) & 1;
     let lowest = null;
     for (const mesh of meshes) {
-      mesh.material.color.set(on ? FEET[k % FEET.length] : SIDES[k % SIDES.length]);
+      mesh.material.color.set(on ? FEET[k % FEET.length] : LEGS[k % LEGS.length]);
       mesh.material.emissive.set(on ? FEET[k % FEET.length] : "#000000");
       mesh.material.emissiveIntensity = on ? 0.45 : 0;
       mesh.getWorldPosition(foot);
       if (!lowest || foot.z < lowest.z) lowest = foot.clone();
     }
-    body.rings[k].visible = !!on;
-    body.rings[k].position.set(lowest.x, lowest.y, 0.004);
+    body.rings[k].visible = !!on && lowest !== null; // a foot without capsules is not drawn
+    if (lowest) body.rings[k].position.set(lowest.x, lowest.y, 0.004);
   });
   return body.links[0].position;
 }

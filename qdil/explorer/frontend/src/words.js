@@ -1,34 +1,43 @@
-// What the explorer says: everything that colours and pictures show, in sentences.
+// The explorer's sentences: everything that colours and pictures show, in words.
 
-import { FIELDS, forgetful, iterationShown, number, rival, rowOf, values } from "./data.js";
+import { cellOf, FIELDS, forgetful, iterationShown, number, rival, rowOf, values } from "./data.js";
+import { mapSize, squareOf } from "./projection.js";
 
-const place = (run, cell) => `column ${Math.floor(cell / run.cells[1]) + 1}, row ${(cell % run.cells[1]) + 1}`;
+/** Where a cell lies on the map. */
+function place(run, axes, cell) {
+  const [, lines] = mapSize(run.cells, axes);
+  const square = squareOf(run.cells, axes, cell);
+  const column = `column ${Math.floor(square / lines) + 1}`;
+  return axes.length > 1 ? `${column}, row ${(square % lines) + 1}` : column;
+}
 
-/** What the archive knows of a cell. */
-export function describe(run, cell) {
+/** What the archive holds in a cell: all k measures, returns, length. */
+export function describe(run, axes, cell) {
   const row = rowOf(run, cell);
-  if (row < 0) return `Empty cell (${place(run, cell)}): no policy of ${run.name} walks this way.`;
-  const [first, second] = run.measures[row].map((share) => `${(100 * share).toFixed(0)} %`);
+  if (row < 0) return `Empty cell (${place(run, axes, cell)}): no policy of ${run.name} walks this way.`;
+  const [first, ...others] = run.measures[row].map((share) => `${(100 * share).toFixed(0)} %`);
+  const feet = [`${run.feet[0]} on the ground ${first} of the time`, ...others.map((share, k) => `${run.feet[k + 1]} ${share}`)];
   return (
-    `Cell at ${place(run, cell)}: ${run.feet[0]} on the ground ${first} of the time, ${run.feet[1]} ${second}; ` +
+    `Cell at ${place(run, axes, cell)}: ${feet.join(", ")}; ` +
     `true return ${number(run.true_return[row])}, learned fitness ${number(run.fitness[row])}, ` +
     `episode of ${run.length[row].toFixed(0)} steps.`
   );
 }
 
-/** What floats beside the pointer: the cell in the run that the map shows, and in the one it is compared with. */
+/** The text beside the pointer: the cell in the map's run and in the run that is subtracted. */
 export function tipOf(runs, state, cell) {
   const [run, other, iteration] = [runs[state.run], rival(runs, state), iterationShown(runs, state)];
-  const then = (one) => number(values(one, state.field, iteration)[cell]);
+  const square = squareOf(run.cells, state.axes, cell);
+  const then = (one) => number(values(one, state.field, iteration, state.axes)[square]);
   const before = other ? `${run.name} ${then(run)}, ${other.name} ${then(other)}` : then(run);
-  const text = (iteration < 0 ? "" : `After iteration ${iteration}: ${before}. At the end: `) + describe(run, cell);
+  const text = (iteration < 0 ? "" : `After iteration ${iteration}: ${before}. At the end: `) + describe(run, state.axes, cell);
   if (!other) return text;
-  const row = rowOf(other, cell);
+  const row = rowOf(other, cellOf(other, state.axes, square));
   return `${text} ${other.name}: ${row < 0 ? "empty" : `true return ${number(other.true_return[row])}`}.`;
 }
 
-/** What one of `count` robots' labels says of it. */
-export function said(run, tile, count) {
+/** The label of one of `count` robots: its return in the archive, and its episode. */
+export function episodeText(run, tile, count) {
   if (tile.row < 0) return "empty cell: no robot here";
   const archived = `return ${number(run.true_return[tile.row])}`;
   if (!run.plays) return `${archived} · ${run.why}`;
@@ -49,19 +58,23 @@ export function titleOf(runs, state) {
   );
 }
 
-/** The line below the map: what its colours and marks mean. `few`: the cells with a recording, null where all play. */
+/** The caption below the map: its colours and marks. `few`: the cells with a recording, null where a kernel plays all. */
 export function captionOf(runs, state, few) {
   const [run, other] = [runs[state.run], rival(runs, state)];
   const above = `; orange where ${run.name} is higher, blue where ${other?.name} is, + filled in the former alone, − in the latter alone`;
-  const said = [`Colour: ${FIELDS[state.field].unit}${other ? above : ""}. Hatched: empty.`];
-  if (state.against >= 0 && state.against !== state.run && !other) {
-    said.push(`${runs[state.against].name} has another grid, so it is not subtracted.`);
+  const sentences = [`Colour: ${FIELDS[state.field].unit}${other ? above : ""}. Hatched: empty.`];
+  if (run.cells.length > state.axes.length) {
+    const others = run.feet.filter((_, axis) => !state.axes.includes(axis)).join(", ");
+    sentences.push(`Each square shows the best elite, by true return, over the other feet (${others}).`);
   }
-  if (run.demonstrators.length) said.push("★ demonstrators.");
-  if (run.top.length && !other) said.push("● best fifth by return.");
-  if (few) said.push(`▸ has a recording (${few.length} of ${run.index.length} cells).`);
-  said.push(...history(runs, state, other));
-  return said.join(" ");
+  if (state.against >= 0 && state.against !== state.run && !other) {
+    sentences.push(`${runs[state.against].name} has another grid, so it is not subtracted.`);
+  }
+  if (run.demonstrators.length) sentences.push("★ demonstrators.");
+  if (run.top.length && !other) sentences.push("● best fifth by return.");
+  if (few) sentences.push(`▸ has a recording (${few.length} of ${run.index.length} cells).`);
+  sentences.push(...history(runs, state, other));
+  return sentences.join(" ");
 }
 
 function history(runs, state, other) {
