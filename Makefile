@@ -7,7 +7,7 @@ RUN := $(VENV)/bin/python
 SWEEP ?=
 SITE ?=
 
-.PHONY: reproduce test test-fast test-slow lint sweep site contents frontend lock clean
+.PHONY: reproduce test test-fast test-slow lint sweep site contents pictures frontend lock clean
 
 reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke, laptop or full)
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
@@ -39,8 +39,11 @@ sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d studie
 site: $(VENV)/.installed  ## the executed notebooks as web pages in build/site (SITE=smoke, laptop or full: that budget's)
 	$(RUN) -m qdil.series.site $(if $(SITE),--budget $(SITE))
 
-contents: $(VENV)/.installed  ## write the tables that are made into the README and docs/performance.md
+contents: $(VENV)/.installed  ## write the generated tables into the README and docs
 	$(RUN) -m qdil.series.readme
+
+pictures: $(VENV)/.installed  ## draw the pictures of the README and docs/performance.md into docs/pictures
+	$(RUN) -m qdil.series.pictures
 
 frontend:  ## bundle the explorer's script and three.js into qdil/explorer/static (needs Node.js 20 or later, and npm)
 	cd qdil/explorer/frontend && npm ci --no-audit --no-fund && npm run build

@@ -30,6 +30,7 @@ class Entry(NamedTuple):
     about: str  # one line
     studies: tuple[str, ...]  # whose runs it shows
     claims: tuple[str, ...]  # of CLAIMABLE
+    part: str  # of the series: what it teaches, or which results it shows
     minutes: dict[str, float]  # by budget, on two CPU cores, without training; what was not measured is missing
 
 
@@ -38,7 +39,13 @@ def read(path: Path = NOTEBOOKS / "index.toml") -> tuple[Entry, ...]:
     rows = tomllib.loads(path.read_text())["notebook"]
     return tuple(
         Entry(
-            row["name"], row["title"], row["about"], tuple(row["studies"]), tuple(row["claims"]), row.get("minutes", {})
+            row["name"],
+            row["title"],
+            row["about"],
+            tuple(row["studies"]),
+            tuple(row["claims"]),
+            row["part"],
+            row.get("minutes", {}),
         )
         for row in rows
     )
@@ -93,6 +100,14 @@ def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/") ->
         for entry in entries
     ]
     return markdown_table(pd.DataFrame(rows), right=["", *(f"minutes, {budget}" for budget in budgets)])
+
+
+def contents(entries: Iterable[Entry] | None = None) -> str:
+    """The series as a Markdown list: an item per part, with a link to each of its notebooks."""
+    parts: dict[str, list[str]] = {}
+    for entry in read() if entries is None else entries:
+        parts.setdefault(entry.part, []).append(f"{entry.name[:2]} [{entry.title}](notebooks/{entry.name}.ipynb)")
+    return "\n".join(f"* **{part}**: {', '.join(links)}" for part, links in parts.items())
 
 
 def claims_text(claims: Iterable[str]) -> str:

@@ -1,83 +1,165 @@
-"""The tables that are made, in the README and the page on performance: nothing in them is typed.
+"""The generated parts of the README and of pages under ``docs/``: tables of numbers, and sentences on verdicts.
 
-The notebooks come from their index, verdicts from the kept runs, runs from the page that ``qdil figures`` wrote, and
-speeds from what ``qdil bench`` wrote.
+``make contents`` writes each part between its markers. Notebooks come from their index, results and verdicts from the
+kept runs, settings from the budgets, and speeds from the files of ``qdil bench``. No number of theirs is typed.
 """
 
 import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 
-from qdil.evidence import claims, report
+from qdil.config import BUDGETS, make_config
+from qdil.evidence import claims, report, tables
 from qdil.evidence.markdown import markdown_table
+from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, REPRODUCED, Verdict
+from qdil.names import title
+from qdil.runs.studies import MAIN
 from qdil.series import index
 
 RESULTS = index.ROOT / "results"
-EMPTY = ("", "no runs", "no runs †")
+ROBOT, BUDGET = "walker2d", "laptop"  # whose runs the README shows
+MEASURED = ("walker2d", "halfcheetah", "humanoid")  # robots whose speed the bench measured
+# What the verdict on C1 means for a reader, whichever it is.
+MAIN_CLAIM = {
+    REPRODUCED: "MConbo-GAIL beats GAIL on QD-score, as the paper claims",
+    NOT_REPRODUCED: "MConbo-GAIL does **not** beat GAIL on QD-score, although this is the paper's main claim",
+    INCONCLUSIVE: "the runs do not decide whether MConbo-GAIL beats GAIL on QD-score, the paper's main claim",
+    NO_RUNS: "there are no runs yet on the paper's main claim, that MConbo-GAIL beats GAIL on QD-score",
+}
+USES = {
+    "smoke": "every line runs, nothing is learned",
+    "laptop": "real learning curves without a GPU",
+    "full": "the paper's scale, for a GPU",
+}
+# A figure of the bench, its name with its unit, its format.
+SPEEDS = (
+    ("iteration_steps_per_second", "training speed (environment steps per second)", ",.0f"),
+    ("iteration_over_simulator", "training speed, relative to Brax (ratio)", ".1f"),
+    ("cold_start_seconds", "cold start (seconds)", ".0f"),
+    ("warm_start_seconds", "warm start (seconds)", ".1f"),
+    ("peak_memory_mb", "memory (MB)", ",.0f"),
+)
 
 
-def verdicts(root: Path = RESULTS) -> str:
-    """The verdicts of the laptop's runs as ``claims.md`` shows them, without the robots that have no run."""
-    shown = report.overview(claims.judge(root, "laptop")).reset_index()
-    return markdown_table(shown.loc[:, [name for name in shown if not set(shown[name]) <= set(EMPTY)]])
+def results(root: Path | None = None) -> str:
+    """QD-score and coverage of the ``laptop`` runs, mean ± standard deviation over seeds: a row per method."""
+    runs = tables.finished_seeds(MAIN, ROBOT, BUDGET, root or RESULTS)
+    shown = tables.summary(runs)[["QD-score", "coverage", "seeds"]]
+    return markdown_table(shown.rename(index=title).rename_axis("method").reset_index(), right=shown.columns)
+
+
+def verdicts(root: Path | None = None) -> str:
+    """Two sentences on ``qdil claims``: the paper's main claim, and how many of its claims have which verdict."""
+    judged = claims.judge(root or RESULTS, BUDGET, [ROBOT])
+    mine = [v for v in judged if v.env == ROBOT and v.claim.where != "ours"]
+    found = [v.verdict for v in mine]
+    return (
+        f"At the `{BUDGET}` budget, on {ROBOT}, {_main_claim([v for v in mine if v.claim.id == 'C1'])}.\n"
+        f"Of the paper's {len(found)} claims, these runs reproduce {found.count(REPRODUCED)}, do not reproduce "
+        f"{found.count(NOT_REPRODUCED)}, and leave {found.count(INCONCLUSIVE)} open; {found.count(NO_RUNS)} have no "
+        "runs yet."
+    )
+
+
+def _main_claim(verdict: list[Verdict]) -> str:
+    rows = report.table(verdict)
+    if rows.empty:
+        return MAIN_CLAIM[NO_RUNS]
+    difference = rows["difference [95 % interval]"][0]
+    return f"{MAIN_CLAIM[verdict[0].verdict]}: the difference, with its 95 % bootstrap interval, is {difference}"
+
+
+def budgets() -> str:
+    """The budgets and their sizes on ``ROBOT``: a row per budget."""
+    rows = []
+    for name in BUDGETS:
+        of = make_config(ROBOT, "mconbo-gail", name)
+        layers = dict.fromkeys("-".join(map(str, hidden)) for hidden in (of.ppo.actor_hidden, of.ppo.critic_hidden))
+        rows.append(
+            {
+                "budget": f"`{name}`",
+                "for": USES[name],
+                "environments": of.ppo.num_envs,
+                "networks": ", ".join(layers),
+                "episode (steps)": of.simulation.episode_length,
+                "archive (cells)": f"{of.ppga.cells} × {of.ppga.cells}",
+                "candidates × episodes": f"{of.ppga.candidates} × {of.evaluation.episodes}",
+                "iterations": of.ppga.iterations,
+            }
+        )
+    numbers = [name for name in rows[0] if name not in ("budget", "for")]
+    return markdown_table(pd.DataFrame(rows), right=numbers)
 
 
 def runs(env: str) -> str:
     """The table of one robot's kept runs that ``qdil figures`` wrote."""
-    return (RESULTS / "figures" / f"laptop-{env}-summary.md").read_text().strip()
+    return (RESULTS / "figures" / f"{BUDGET}-{env}-summary.md").read_text().strip()
 
 
-def speeds(folder: Path = RESULTS / "bench") -> str:
-    """What ``qdil bench --json`` measured of each robot at ``laptop``: a row per figure."""
-    envs = ("walker2d", "halfcheetah", "humanoid")
-    shown = pd.DataFrame({env: json.loads((folder / f"laptop-{env}.json").read_text())[env] for env in envs})
-    shown = shown.map(_speed).rename(index=lambda name: name.replace("_", " ")).rename_axis("`laptop`").reset_index()
-    return markdown_table(shown, right=envs)
+def measured(folder: Path | None = None) -> dict[str, dict[str, float]]:
+    """The figures that ``qdil bench --json`` measured at ``laptop`` (None: the kept ones), by robot."""
+    files = {env: (folder or RESULTS / "bench") / f"{BUDGET}-{env}.json" for env in MEASURED}
+    return {env: json.loads(file.read_text())[env] for env, file in files.items()}
+
+
+def speeds(folder: Path | None = None) -> str:
+    """Five figures of the bench with their units: a row per figure, a column per robot."""
+    rows = measured(folder)
+    shown = [{"": name} | {env: format(row[key], form) for env, row in rows.items()} for key, name, form in SPEEDS]
+    return markdown_table(pd.DataFrame(shown), right=MEASURED)
+
+
+def all_speeds(folder: Path | None = None) -> str:
+    """Everything that the bench measured: a row per figure, a column per robot."""
+    shown = pd.DataFrame(measured(folder)).map(_speed).rename(index=lambda name: name.replace("_", " "))
+    return markdown_table(shown.rename_axis(f"`{BUDGET}`").reset_index(), right=MEASURED)
 
 
 def _speed(value: float) -> str:
-    if math.isnan(value):
+    if pd.isna(value):
         return ""
     return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}"
 
 
-TABLES: dict[tuple[str, str], Callable[[], str]] = {  # by page and name
-    ("README.md", "notebooks"): index.table,
-    ("README.md", "verdicts"): verdicts,
-    ("README.md", "walker2d's runs"): lambda: runs("walker2d"),
-    ("README.md", "halfcheetah's runs"): lambda: runs("halfcheetah"),
+PARTS: dict[tuple[str, str], Callable[[], str]] = {  # by page and name
+    ("README.md", "results"): lambda: f"{results()}\n\n{verdicts()}",
+    ("README.md", "budgets"): budgets,
+    ("README.md", "notebooks"): index.contents,
+    ("docs/running.md", "notebooks"): lambda: index.table(folder="../notebooks/"),
+    ("docs/laptop-budget.md", "walker2d's runs"): lambda: runs("walker2d"),
+    ("docs/laptop-budget.md", "halfcheetah's runs"): lambda: runs("halfcheetah"),
     ("docs/performance.md", "speeds"): speeds,
+    ("docs/notes/performance-log.md", "all speeds"): all_speeds,
 }
 
 
-def table_in(text: str, name: str) -> str:
-    """The table between a page's markers. Raises ValueError where it has none."""
+def part_in(text: str, name: str) -> str:
+    """What stands between the markers of a page's part. Raises ValueError where it has none."""
     begin, end = _markers(name)
     if begin not in text or end not in text:
         raise ValueError(f"the page has no '{begin}' … '{end}'.")
     return text.split(begin, 1)[1].split(end, 1)[0].strip()
 
 
-def put_table(text: str, name: str, table: str) -> str:
-    """A page with what stands between its markers replaced. Raises ValueError where it has none."""
-    table_in(text, name)
+def put_part(text: str, name: str, content: str) -> str:
+    """A page with a part replaced by ``content``. Raises ValueError where it has no such markers."""
+    part_in(text, name)
     begin, end = _markers(name)
     before, rest = text.split(begin, 1)
-    return f"{before}{begin}\n\n{table}\n\n{end}{rest.split(end, 1)[1]}"
+    return f"{before}{begin}\n{content}\n{end}{rest.split(end, 1)[1]}"
 
 
 def _markers(name: str) -> tuple[str, str]:
-    return f"<!-- the table of {name} -->", f"<!-- end of the table of {name} -->"
+    return f"<!-- generated: {name} -->", f"<!-- end: {name} -->"
 
 
 def main() -> None:
-    """Write all tables into their pages."""
-    for (page, name), table in TABLES.items():
+    """Write all parts into their pages."""
+    for (page, name), content in PARTS.items():
         path = index.ROOT / page
-        path.write_text(put_table(path.read_text(), name, table()))
+        path.write_text(put_part(path.read_text(), name, content()))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from types import ModuleType
 import nbformat
 import pytest
 import yaml
-from fake_runs import write_arms
 from IPython.core.inputtransformer2 import TransformerManager
 from markdown_cells import cells
 from nbformat.v4 import new_code_cell, new_notebook
@@ -21,12 +20,17 @@ from nbformat.v4 import new_code_cell, new_notebook
 from qdil.cli import main
 from qdil.config import ConfigError
 from qdil.runs.studies import experiments_of
-from qdil.series import index, readme, schedule
+from qdil.series import index, schedule
 from qdil.series.execute import execute
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent.parent
 NAMES = index.names_in()
-PAGES = [*(ROOT / "notebooks").glob("*.ipynb"), ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+PAGES = [
+    *(ROOT / "notebooks").glob("*.ipynb"),
+    ROOT / "README.md",
+    *(ROOT / "docs").glob("*.md"),
+    *(ROOT / "docs" / "notes").glob("*.md"),
+]
 
 
 @functools.cache
@@ -144,47 +148,15 @@ def test_what_is_mentioned():
 
 def test_the_table_has_a_row_per_notebook_and_says_what_it_claims():
     entries = [
-        index.Entry("00_first", "First", "a start", ("main",), ("Fig. 1", "Fig. 2", "Table 3"), {"smoke": 0.25}),
-        index.Entry("01_second", "Second", "an end", (), (), {}),
+        index.Entry(
+            "00_first", "First", "a start", ("main",), ("Fig. 1", "Fig. 2", "Table 3"), "learn", {"smoke": 0.25}
+        ),
+        index.Entry("01_second", "Second", "an end", (), (), "b", {}),
     ]
     assert cells(index.table(entries)) == [
         ["", "notebook", "what it shows", "of the paper", "minutes, smoke"],
         ["00", "[First](notebooks/00_first.ipynb)", "a start", "Figs. 1, 2, Table 3", "0.2"],
         ["01", "[Second](notebooks/01_second.ipynb)", "an end", "", ""],
-    ]
-
-
-def test_the_table_replaces_what_is_between_the_markers():
-    page = "before\n\n<!-- the table of birds -->\nold\n<!-- end of the table of birds -->\n\nafter\n"
-    made = readme.put_table(page, "birds", "| wren |")
-    assert readme.table_in(made, "birds") == "| wren |"
-    assert made.startswith("before\n\n<!--") and made.endswith("-->\n\nafter\n") and "old" not in made
-    with pytest.raises(ValueError, match="the page has no"):
-        readme.put_table("no markers", "birds", "")
-
-
-@pytest.mark.parametrize("page, name", readme.TABLES)
-def test_pages_have_their_tables(page, name):
-    assert readme.table_in((ROOT / page).read_text(), name) == readme.TABLES[page, name]()
-
-
-def test_speeds_are_a_row_per_figure_with_gaps_where_a_robot_has_none(tmp_path):
-    for env in ("walker2d", "halfcheetah", "humanoid"):
-        (tmp_path / f"laptop-{env}.json").write_text(f'{{"{env}": {{"a_speed": 12345.6, "of_{env[0]}": 0.707}}}}')
-    assert cells(readme.speeds(tmp_path)) == [
-        ["`laptop`", "walker2d", "halfcheetah", "humanoid"],
-        ["a speed", "12,346", "12,346", "12,346"],
-        ["of w", "0.71", "", ""],
-        ["of h", "", "0.71", "0.71"],
-    ]
-
-
-def test_verdicts_leave_out_robots_without_runs(tmp_path):
-    write_arms(tmp_path, "halfcheetah", "qd_score", {"gail": [1.0, 2.0], "mconbo-gail": [11.0, 12.0]})
-    head, *rows = cells(readme.verdicts(tmp_path))
-    assert head == ["id", "claim", "where", "halfcheetah"]
-    assert [row for row in rows if row[0] == "C1"] == [
-        ["C1", "MConbo-GAIL beats GAIL on QD-score", "Fig. 5, Table 1", "reproduced"]
     ]
 
 
