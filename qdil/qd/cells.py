@@ -1,4 +1,4 @@
-"""The cells of a grid over the measures: which of them a measure falls into, for NumPy and JAX alike. Imports neither."""
+"""The grid over the measures: which cell a measure falls into, for NumPy and JAX alike. Imports neither."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -8,11 +8,10 @@ from fake_runs import write_arms, write_run
 from markdown_cells import cells
 
 from qdil import plotting
-from qdil.runs.train import __file__
-from qdil.config import ConfigError
+from qdil.errors import ConfigError
 from qdil.evidence import figures
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 LISTED = subprocess.run(["git", "-C", ROOT, "ls-files", "results/laptop"], capture_output=True, text=True).stdout
 KEPT = {ROOT / Path(line).parent for line in LISTED.split() if line.endswith("manifest.json")}
 

@@ -9,7 +9,7 @@ import pytest
 
 from qdil.evidence import paper
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def test_every_number_of_the_table_is_there():
