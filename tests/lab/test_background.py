@@ -199,14 +199,14 @@ def replay(problem: Problem, batches: list[np.ndarray], cells: int, alpha: float
     ``floor`` -inf is the plain archive, whose threshold is the best objective and whose new cells improve upon 0.
     """
     thresholds: dict[tuple[int, ...], float] = {}
-    told = []
+    expected = []
     for batch in batches:
         accepted: dict[tuple[int, ...], list[float]] = {}
-        told.append([])
+        expected.append([])
         for f, m in zip(*problem.evaluate(batch), strict=True):
             here = cell_of(m, problem, cells)
             t = thresholds.get(here, floor)
-            told[-1].append((0 if f <= t else 1 if here in thresholds else 2, f - (t if np.isfinite(t) else 0)))
+            expected[-1].append((0 if f <= t else 1 if here in thresholds else 2, f - (t if np.isfinite(t) else 0)))
             if f > t:
                 accepted.setdefault(here, []).append(f)
         for here, values in accepted.items():
@@ -215,7 +215,7 @@ def replay(problem: Problem, batches: list[np.ndarray], cells: int, alpha: float
             thresholds[here] = (
                 max(values) if plain else kept * thresholds.get(here, floor) + (1 - kept) * np.mean(values)
             )
-    return told, thresholds
+    return expected, thresholds
 
 
 @pytest.mark.parametrize("name", SOFT)
@@ -223,11 +223,11 @@ def test_the_searched_archive_follows_the_soft_threshold_rule(name):
     alpha, floor = 0.2, 10.0
     problem, batches = recording(problems.sphere(6))
     result = algorithms.run_algorithm(problem, name, 15, 1, cells=5, batch=12, learning_rate=alpha, threshold_min=floor)
-    told, thresholds = replay(problems.sphere(6), batches[1:], 5, alpha, floor)
+    expected, thresholds = replay(problems.sphere(6), batches[1:], 5, alpha, floor)
     stored = result.searched.data(["index", "threshold"], return_type="dict")
     held = {divmod(int(i), 5): t for i, t in zip(stored["index"], stored["threshold"], strict=True)}
     assert held == pytest.approx(thresholds)
-    assert {status for batch in told for status, _ in batch} == {0, 1, 2}
+    assert {status for batch in expected for status, _ in batch} == {0, 1, 2}
 
 
 @pytest.mark.parametrize("name", DQD)
@@ -238,12 +238,12 @@ def test_the_point_moves_to_the_better_halfs_weighted_mean(name):
     problem, batches = recording(lowered)
     algorithms.run_algorithm(problem, name, 30, 3, cells=CELLS, batch=13, learning_rate=0.1, threshold_min=-50)
     batches = batches[-60:]  # θ and its branches in turn
-    told, _ = replay(lowered, batches, CELLS, 0.1, -50 if name in SOFT else -np.inf)
+    expected, _ = replay(lowered, batches, CELLS, 0.1, -50 if name in SOFT else -np.inf)
     weights = np.log(6.5) - np.log(np.arange(1, 7))
     weights /= weights.sum()
     moves, by_status = 0, 0
     for i in range(1, 59, 2):
-        status, value = np.array(told[i]).T
+        status, value = np.array(expected[i]).T
         plain = np.argsort(-value)
         ranking = plain if name in SOFT else np.lexsort((-value, -status))
         restarts = name not in SOFT and not status.any()
@@ -259,10 +259,10 @@ def test_cma_mes_mean_moves_to_what_entered_the_archive():
     lowered = problems.arm(9)._replace(evaluate=lambda x: (-100 * np.var(x, axis=1), problems.arm(9).evaluate(x)[1]))
     problem, batches = recording(lowered)
     algorithms.run_algorithm(problem, "cma-me", 5, 0, cells=40, batch=4000)
-    told, _ = replay(lowered, batches, 40, 1.0, -np.inf)
-    for now, after, ranked in zip(batches[1:], batches[2:], told[1:], strict=False):
+    expected, _ = replay(lowered, batches, 40, 1.0, -np.inf)
+    for batch, after, ranked in zip(batches[1:], batches[2:], expected[1:], strict=False):
         status, value = np.array(ranked).T
-        parents = now[np.lexsort((-value, -status))[: np.count_nonzero(status)]]
+        parents = batch[np.lexsort((-value, -status))[: np.count_nonzero(status)]]
         weights = np.log(len(parents) + 0.5) - np.log(np.arange(1, len(parents) + 1))
         assert 10 < len(parents) < 1900
         chance = 5 * after.std(axis=0) / np.sqrt(len(after))  # of the mean of so many samples
