@@ -4,8 +4,8 @@ The model learns briefly from demonstrations and then rewards steps that were de
 actions, or taken by an untrained policy. Or it learns from any rows, such as points in a plane, round by round.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +24,8 @@ from qdil.rl.normalise import init_obs_stats, update_obs_stats
 from qdil.rl.rollout import rollout, start
 from qdil.rl.vppo import act_with_copies
 from qdil.robots import register
-from qdil.types import RewardContext, Transitions
+from qdil.robots.environment import Environment
+from qdil.types import ObsStats, Params, RewardContext, Transitions
 
 ENVS, STEPS = 16, 96  # robots and steps of an untrained policy: enough rows to learn from, and quickly simulated
 RIDGE = 0.01  # weight of the ridge penalty per row
@@ -78,23 +79,21 @@ def with_other_actions(steps: Transitions, seed: int) -> Transitions:
 
 def untrained(env: str, seed: int, robots: int = ENVS, steps: int = STEPS) -> Transitions:
     """Transitions (steps, robots) of θ_0, an untrained policy, which acts mostly by chance."""
-    return _rollout_of_untrained(env, robots, steps)(jax.random.key(seed))
-
-
-@lru_cache(maxsize=4)
-def _rollout_of_untrained(env: str, robots: int, steps: int) -> Callable[[jax.Array], Transitions]:
-    """``untrained`` as a compiled function of the key."""
     config = make_config(env, "true", "laptop")
     robot, length = register.make(env), config.simulation.episode_length
-    programs = search_programs(robot, config.ppo, config.evaluation, length, 1)
+    key = jax.random.key(seed)
+    train_state, stats, _ = search_programs(robot, config.ppo, config.evaluation, length, 1).init(key)
+    return _roll_out(robot, train_state.policy, stats, jax.random.fold_in(key, 1), robots, steps, length)
 
-    def roll(key: jax.Array) -> Transitions:
-        train_state, stats, _ = programs.init(key)
-        act = act_with_copies(jax.tree.map(lambda leaf: leaf[None], train_state.policy), stats, 1)
-        keys = jax.random.split(jax.random.fold_in(key, 1), robots)
-        return rollout(robot, act, start(robot, keys, length), steps, length)[1]
 
-    return jax.jit(roll)
+@partial(jax.jit, static_argnums=(0, 4, 5, 6))
+def _roll_out(
+    robot: Environment, policy: Params, stats: ObsStats, key: jax.Array, robots: int, steps: int, episode_length: int
+) -> Transitions:
+    """Transitions (steps, robots) of one policy with sampled actions."""
+    act = act_with_copies(jax.tree.map(lambda leaf: leaf[None], policy), stats, 1)
+    begun = start(robot, jax.random.split(key, robots), episode_length)
+    return rollout(robot, act, begun, steps, episode_length)[1]
 
 
 def rewards_for(
