@@ -54,7 +54,7 @@ def interval(found: int, episodes: int) -> tuple[float, float]:
 def run_trials(
     env: str, budget: str, report: Callable[[str], object] = print, effort: Effort | None = None
 ) -> list[RobotTrial]:
-    """The trials of every seed and archive of ``effort`` (None: the budget's).
+    """The trials of Lemma 1 for every seed and archive of ``effort`` (None: the budget's).
 
     ``report`` is called with a line of text per seed. Raises ConfigError for a budget or robot that does not exist.
     """
