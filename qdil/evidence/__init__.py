@@ -1,1 +1,1 @@
-"""From finished runs to the paper's tables, figures and claims, with intervals."""
+"""The paper's tables, figures and claims from finished runs, with intervals. Imports no JAX."""

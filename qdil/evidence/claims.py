@@ -1,28 +1,29 @@
-"""The paper's claims C1 to C16 and questions of our own Q1 to Q4, each judged from the runs that are there.
+"""The paper's claims C1 to C16 and our own questions Q1 to Q4, each judged from the finished runs.
 
-A claim is a record: the sentence, where the paper makes it, on which robots, and the comparisons it comes down to. All
-of them must hold on a robot for the claim to be reproduced there. ``docs/claims.md`` explains every rule.
+A claim is a record: the sentence, where the paper makes it, on which robots, and the comparisons that it consists of.
+It is reproduced on a robot if all of them hold there. ``docs/claims.md`` explains every rule.
 """
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from qdil.config import BUDGETS, ConfigError
+from qdil.config import BUDGETS
+from qdil.errors import ConfigError
 from qdil.evidence import tables
 from qdil.evidence.paper import METRICS
 from qdil.evidence.readings import READINGS
 from qdil.evidence.report import markdown, overview, plain, table, write
 from qdil.evidence.verdicts import SMALL_MDP, Claim, Finding, Part, Verdict, find
-from qdil.lab.lemma import record
+from qdil.lab.lemma import results
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.runs.folder import RESULTS
 from qdil.runs.studies import STUDIES
 
 __all__ = ["CLAIMS", "Claim", "Verdict", "judge", "markdown", "overview", "plain", "table", "write"]
 
-MARGIN = 0.1  # of the reference: a loss up to this is "marginal", and as good "holds"
-NEAR_ALL = 0.9  # of the cells is "near 100 %": the paper says so of walker2d's 91.7 %
-LEMMA = "probability"  # the reading of Lemma 1's results file; how many updates of PPO it is about, the file says
+MARGIN = 0.1  # share of the reference: a loss up to this is "marginal", and a value that loses no more "holds"
+NEAR_ALL = 0.9  # share of the cells that is "near 100 %", as the paper calls walker2d's 91.7 %
+LEMMA = "probability"  # the reading of Lemma 1's results file
 
 
 def _above(ours: str, against: str, *readings: str) -> tuple[Part, ...]:
@@ -84,16 +85,16 @@ CLAIMS = (
           f"On QD-score. {ABOVE_RULE}"),
     Claim("C14", "PPO on 1[m ∈ A_e] alone does not lower P(m ∈ A_e | π), on average", "Lemma 1", PAPER_ROBOTS,
           (Part("at least", "PPO", (), LEMMA),),
-          "The probability after PPO minus that before: exactly, after one update, on small problems (mdp; mdp-falls: "
-          "episodes may end early, which the proof excludes), and by sampling, after as many updates as the table "
-          "says, on robots, where a seed's archives share its policy and give one number, their mean. The interval "
-          "of the mean lies at or above 0. So it is an average that is judged: the lemma promises more, that no "
-          "single improvement lowers the probability, and the table says in how many trials it fell."),
+          "The probability after PPO minus that before. On small problems it is exact, after one update (mdp; in "
+          "mdp-falls episodes may end early, which the proof excludes). On robots it is estimated by sampling, after "
+          "the number of updates in the table; a seed's archives share one policy, so their mean is one number. The "
+          "interval of the mean lies at or above 0. This judges an average. The lemma promises more, that no single "
+          "improvement lowers the probability; the table shows in how many trials it fell."),
     Claim("C15", "With the bonus, c₀ rises while cells are being found", "Appendix G", PAPER_ROBOTS,
           (Part("more than", MCONBO, (), "c0_rise"), *_above(MCONBO, MCOND, "c0_rise")),
-          "By how much |c₀| of the xNES mean moves in an iteration that fills new cells, on average (iterations that "
-          "xNES begins anew left out): its interval lies above 0, and that of the difference to MCond-GAIL, which has "
-          "no bonus, too. Chance alone makes |c₀| rise a little, so that the second half says more."),
+          "The mean change of |c₀| of the xNES mean in an iteration that fills new cells, without iterations that "
+          "start after a restart of xNES: its interval lies above 0, and so does that of the difference to MCond-GAIL, "
+          "which has no bonus. Chance alone makes |c₀| rise a little, so the second comparison is the stronger test."),
     Claim("C16", "MConbo-GAIL's archives vary less from cell to cell", "Fig. 6", ("halfcheetah", "humanoid"),
           (Part("below", MCONBO, (GAIL,), "roughness"), Part("below", MCONBO, ("true",), "roughness")),
           "The mean difference between returns of neighbouring filled cells, over the mean size of a return, is lower "
@@ -104,7 +105,7 @@ CLAIMS = (
           _above("mbo-zero+bonus_p=0.0", "zero", "qd_score"), ABOVE_RULE),
     Claim("Q1c", "p and q, without imitation, raise the QD-score over no reward at all", "ours", PAPER_ROBOTS,
           _above("mbo-zero", "zero", "qd_score"), ABOVE_RULE),
-    Claim("Q1d", "MConbo-GAIL beats GAIL on QD-score without paying for survival (p = 0)", "ours", PAPER_ROBOTS,
+    Claim("Q1d", "MConbo-GAIL beats GAIL on QD-score without a reward for survival (p = 0)", "ours", PAPER_ROBOTS,
           _above(f"{MCONBO}+bonus_p=0.0", GAIL, "qd_score"), ABOVE_RULE),
     Claim("Q1e", "MConbo-GAIL has a higher QD-score with p than without", "ours", PAPER_ROBOTS,
           _above(MCONBO, f"{MCONBO}+bonus_p=0.0", "qd_score"), ABOVE_RULE),
@@ -119,16 +120,16 @@ CLAIMS = (
 
 
 def experiments_needed(claims: Iterable[Claim] = CLAIMS) -> tuple[str, ...]:
-    """Every experiment that some claims compare, each once."""
+    """Every experiment that ``claims`` compare, each once."""
     parts = [part for claim in claims for part in claim.parts if part.reading != LEMMA]
     return tuple(dict.fromkeys(name for part in parts for name in (part.ours, *part.against)))
 
 
 def judge(root: Path = RESULTS, budget: str = "laptop", envs: Sequence[str] | None = None) -> list[Verdict]:
-    """Judge every claim on every robot (or those of ``envs``) from the runs of one budget that are finished.
+    """Judge every claim on every robot of the paper (or those of ``envs``) from the finished runs of one budget.
 
-    All finished seeds count. Lemma 1 is judged on every problem that its results file names. Raises ConfigError for a
-    budget or robot that does not exist, and for a results file that cannot be read.
+    All finished seeds count. Lemma 1 is judged on every problem in its results file. Raises ConfigError for a budget
+    that does not exist, a robot that is not the paper's, and a results file that cannot be read.
     """
     if budget not in BUDGETS:
         raise ConfigError(f"unknown budget '{budget}'; choose one of {', '.join(BUDGETS)}.")
@@ -136,7 +137,7 @@ def judge(root: Path = RESULTS, budget: str = "laptop", envs: Sequence[str] | No
     unknown = [env for env in robots if env not in PAPER_ROBOTS]
     if unknown:
         raise ConfigError(f"unknown robot '{unknown[0]}'; choose one of {', '.join(PAPER_ROBOTS)}.")
-    changes = _lemma(budget, root)
+    changes = _lemma_changes(budget, root)
     values = {env: _values(env, budget, root) for env in robots}
     problems = dict.fromkeys((SMALL_MDP, *(name for name in changes if name not in PAPER_ROBOTS)))
     values = {**{name: {} for name in problems}, **values}
@@ -152,25 +153,25 @@ Values = dict[tuple[str, str], list[float]]  # a number per seed, by reading and
 
 
 def _values(env: str, budget: str, root: Path) -> Values:
-    """Every reading that some claim needs of every run that is there."""
+    """Every reading that some claim needs, of every finished run."""
     runs = tables.finished_seeds(experiments_needed(), env, budget, root)
     parts = [part for claim in CLAIMS for part in claim.parts]
     needed = dict.fromkeys((part.reading, name) for part in parts for name in (part.ours, *part.against))
     return {(what, name): [READINGS[what](folder) for folder in runs[name]] for what, name in needed if name in runs}
 
 
-def _find(part: Part, values: Values, changes: record.Changes | None) -> Finding:
-    """Judge a comparison by the runs' ``values``, or Lemma 1 by the ``changes`` of its file."""
+def _find(part: Part, values: Values, changes: results.Changes | None) -> Finding:
+    """Judge a comparison from the runs' ``values``, or Lemma 1 from the ``changes`` in its file."""
     if part.reading == LEMMA and changes:
-        part = part._replace(ours=changes.done)
+        part = part._replace(ours=changes.improvement)
         return find(part, {part.ours: changes.by_seed})._replace(trials=tuple(changes.trials))
     return find(part, {name: numbers for (what, name), numbers in values.items() if what == part.reading})
 
 
-def _lemma(budget: str, root: Path) -> dict[str, record.Changes]:
-    """Changes of P(m ∈ A_e | π) by problem or robot; nothing without a file."""
+def _lemma_changes(budget: str, root: Path) -> dict[str, results.Changes]:
+    """Changes of P(m ∈ A_e | π) by problem or robot; empty without a file."""
     try:
-        return {env: record.changes(problem) for env, problem in record.read(budget, root).items()}
+        return {env: results.changes(problem) for env, problem in results.read(budget, root).items()}
     except (ValueError, KeyError, TypeError, AttributeError):
-        path = record.path_of(budget, root)
+        path = results.path_of(budget, root)
         raise ConfigError(f"{path} is no results file of Lemma 1: remove it and execute its notebook again.") from None

@@ -1,4 +1,4 @@
-"""What a change does to a method's final metrics: differences in percent of the unchanged method, with intervals."""
+"""The effect of a change on a method's final metrics, in percent of the unchanged method, with intervals."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,11 +13,11 @@ TITLES = {key: tables.COLUMNS[key] for key in paper.METRICS}
 
 
 def effects(runs: tables.Runs, pairs: Mapping[str, tuple[str, str]]) -> pd.DataFrame:
-    """A row per change and metric: by how many percent of the second experiment's mean the first is above it.
+    """A row per change and metric: the first experiment's mean minus the second's, in percent of the second's.
 
-    ``pairs`` are (changed, unchanged) experiments by what the change is called; those that lack runs are left out.
+    ``pairs`` are (changed, unchanged) experiments by the name of the change; a pair without runs of both is left out.
     Index: those names. Columns: ``metric`` (its title), ``difference``, ``low`` and ``high`` in percent (the ends of a
-    95 % bootstrap interval over seeds, NaN where an arm has fewer than two), ``seeds`` of both, as a text.
+    95 % bootstrap interval over seeds, not-a-number if an arm has fewer than two), ``seeds`` of both, as a text.
     """
     values = tables.final({name: runs[name] for pair in pairs.values() for name in pair if name in runs})
     rows, names = [], []
@@ -33,13 +33,13 @@ def effects(runs: tables.Runs, pairs: Mapping[str, tuple[str, str]]) -> pd.DataF
 
 
 def _percent_above(ours: Any, reference: Any, axis: int) -> Any:
-    below = np.mean(reference, axis=axis)
+    unchanged = np.mean(reference, axis=axis)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return 100 * (np.mean(ours, axis=axis) - below) / np.abs(below)
+        return 100 * (np.mean(ours, axis=axis) - unchanged) / np.abs(unchanged)
 
 
 def table(found: pd.DataFrame) -> pd.DataFrame:
-    """``effects`` to read: a row per change, a column per metric, texts like "+3.1 % [−0.4, +6.2]"."""
+    """``effects`` as texts like "+3.1 % [−0.4, +6.2]": a row per change, a column per metric."""
     texts = [_text(row.difference, row.low, row.high) for row in found.itertuples()]
     rows = found.assign(text=texts).groupby(level="change", sort=False)
     shown = {name: {"seeds": group["seeds"].iloc[0], **dict(zip(group["metric"], group["text"], strict=True))}

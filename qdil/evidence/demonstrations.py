@@ -1,4 +1,4 @@
-"""What the kept demonstrations are: read for every robot that has some, and summed up as in Table 3."""
+"""The recorded demonstrations: read for every robot that has some, and summed up as in Table 3."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,15 +9,14 @@ import pandas as pd
 from qdil.config import make_config
 from qdil.errors import ConfigError
 from qdil.robots import register
-from qdil.runs.demos import make_demos
 from qdil.runs.experiments import EXPERT_SEED
 from qdil.runs.folder import RESULTS, demos_path, folder_of
 
-Demos = dict[str, np.ndarray]  # a demonstrations file's columns, a row per step, and what it says per episode
+Demos = dict[str, np.ndarray]  # a demonstrations file's columns: some have a row per step, some a row per episode
 
 
 def of_robots(budget: str, root: Path = RESULTS) -> dict[str, Demos]:
-    """The demonstrations of the budget's usual number, by robot, of those robots that have a file."""
+    """The demonstrations of the budget's usual number, by robot; a robot without a file is left out."""
     paths = {
         env: demos_path(budget, env, make_config(env, "true", budget).demos.demo_episodes, root)
         for env in sorted(register.robot_names())
@@ -26,16 +25,18 @@ def of_robots(budget: str, root: Path = RESULTS) -> dict[str, Demos]:
 
 
 def record_missing(env: str, budget: str, root: Path = RESULTS) -> str:
-    """Record a robot's demonstrations if there are none and its expert's policies are here; what happened, in words."""
-    expert = make_config(env, "true", budget, EXPERT_SEED)
-    path, folder = (
-        demos_path(budget, env, expert.demos.demo_episodes, root),
-        folder_of("true", env, budget, expert.seed, root),
-    )
+    """Record a robot's demonstrations if it has none and its expert's policies are on this machine.
+
+    Returns a sentence about the outcome. Recording imports JAX.
+    """
+    episodes = make_config(env, "true", budget, EXPERT_SEED).demos.demo_episodes
+    path = demos_path(budget, env, episodes, root)
     if path.is_file():
         return f"loaded, they were recorded earlier: {path}"
+    from qdil.runs.demos import make_demos
+
     try:
-        make_demos(env, budget, expert.demos.demo_episodes, EXPERT_SEED, folder, path)
+        make_demos(env, budget, episodes, EXPERT_SEED, folder_of("true", env, budget, EXPERT_SEED, root), path)
     except ConfigError as error:
         return f"none recorded: {error}"
     return f"recorded just now: {path}"
@@ -48,7 +49,7 @@ def read(path: Path) -> Demos:
 
 
 def episodes(demos: Demos, robot: str) -> pd.DataFrame:
-    """A row per demonstration: steps, return and measures of the recorded episode, and what the archive said of it."""
+    """A row per demonstration: steps, return and measures of the recorded episode, and of the elite in the archive."""
     elite, recorded = (demos[name].astype(float) for name in ("elite_measures", "episode_measures"))
     table = {
         "steps (rows)": np.bincount(demos["episode"]),
@@ -61,7 +62,7 @@ def episodes(demos: Demos, robot: str) -> pd.DataFrame:
 
 
 def summary(by_robot: Mapping[str, Demos]) -> pd.DataFrame:
-    """A row per robot, as Table 3 might have had it: episodes, rows, widths, mean length and return (± deviation)."""
+    """A row per robot, in the manner of Table 3: episodes, rows, widths, mean length and return (± deviation)."""
     rows = {}
     for robot, demos in by_robot.items():
         lengths, returns = np.bincount(demos["episode"]), demos["episode_return"]
@@ -77,34 +78,30 @@ def summary(by_robot: Mapping[str, Demos]) -> pd.DataFrame:
 
 
 def _spread(values: np.ndarray) -> str:
-    """Mean ± standard deviation, of a single value the value alone."""
+    """Mean ± standard deviation; a single value alone."""
     return f"{values.mean():,.0f}" + (f" ± {values.std(ddof=1):,.0f}" if len(values) > 1 else "")
 
 
 def luck(archives: Mapping[str, Mapping[str, np.ndarray]]) -> pd.DataFrame:
-    """A row per archive: its average return as archived and over fresh episodes, and how far elites moved there.
+    """A row per archive: the average return as archived and over fresh episodes, and how far elites moved.
 
-    The move is the median distance between an elite's measures and its fresh ones, in units of the behaviour space.
+    The move is the median distance between an elite's archived measures and those of its fresh episodes, in units of
+    the measure space.
     """
     rows = {}
     for name, archive in archives.items():
-        before, after = (float(archive[which].mean()) for which in ("true_return", "rescored_return"))
+        archived, fresh = (float(archive[which].mean()) for which in ("true_return", "rescored_return"))
         moved = np.linalg.norm(archive["measures"] - archive["rescored_measures"], axis=1)
-        rows[name] = [before, after, 100 * (after / before - 1), float(np.median(moved))]
+        rows[name] = [archived, fresh, 100 * (fresh / archived - 1), float(np.median(moved))]
     columns = ["average, as archived", "average, scored again", "change, %", "move in behaviour space"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=columns)
 
 
 def one_step(demos: Demos, row: int) -> pd.DataFrame:
-    """What is stored of one step, a row per part: its shape and its first numbers."""
-    says = {
-        "obs": "state sₜ",
-        "action": "action aₜ",
-        "next_obs": "next state sₜ₊₁",
-        "proxy": "contacts δ(sₜ)",
-    }
+    """One stored step, a row per part: how many numbers it has, and the first of them."""
+    titles = {"obs": "state sₜ", "action": "action aₜ", "next_obs": "next state sₜ₊₁", "proxy": "contacts δ(sₜ)"}
     parts = {
-        said: [len(demos[name][row]), "  ".join(f"{x:.2f}" for x in demos[name][row][:6])]
-        for name, said in says.items()
+        title: [len(demos[name][row]), "  ".join(f"{x:.2f}" for x in demos[name][row][:6])]
+        for name, title in titles.items()
     }
     return pd.DataFrame.from_dict(parts, orient="index", columns=["numbers", "the first of them"])

@@ -1,4 +1,4 @@
-"""Figures and a table of finished runs, computed from their folders and written under ``results/figures``."""
+"""Figures and tables of finished runs, computed from their folders and written under ``results/figures``."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,7 +6,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from qdil import plotting
-from qdil.config import ConfigError, make_config
+from qdil.config import make_config
+from qdil.errors import ConfigError
 from qdil.evidence import tables
 from qdil.evidence.markdown import markdown_table
 from qdil.evidence.tables import Runs
@@ -20,7 +21,7 @@ from qdil.runs.studies import STUDIES, experiments_of
 def finished_runs(
     env: str, budget: str, root: Path = RESULTS, seeds: Sequence[int] | None = None
 ) -> dict[str, list[Path]]:
-    """Folders of one robot's finished runs (of ``seeds``, or of all) by experiment: methods first, then settings."""
+    """Folders of a robot's finished runs (of ``seeds``, or of all) by experiment: plain methods first."""
     names = dict.fromkeys((*method_names(), *experiments_of(STUDIES, budget)))
     if seeds is None:
         return tables.finished_seeds(names, env, budget, root)
@@ -28,15 +29,15 @@ def finished_runs(
 
 
 def of_study(runs: Runs, study: str) -> dict[str, Sequence[Path]]:
-    """Those of ``runs`` that a study compares, in its order."""
+    """The part of ``runs`` that a study compares, in its order."""
     return {name: runs[name] for name in STUDIES[study] if name in runs}
 
 
 def summary_table(runs: Runs) -> str:
     """The final metrics of runs as a Markdown table, each number read from the runs' own files.
 
-    Of several seeds "mean ± standard deviation", with a column that counts them; of one the number alone. "scored
-    again" is the elites' average true return over fresh episodes, free of the luck that won them their cells.
+    Several seeds give "mean ± standard deviation" and a column that counts them; one seed gives the number alone.
+    "scored again" is the elites' average true return over fresh episodes, free of the luck that won them their cells.
     """
     shown = tables.summary(runs)
     if all(len(folders) == 1 for folders in runs.values()):
@@ -46,9 +47,9 @@ def summary_table(runs: Runs) -> str:
 
 
 def draw(runs: Runs, env: str) -> dict[str, Figure]:
-    """Every figure of one robot's runs, by name: the main experiment's in full, and what each other study compares.
+    """Every figure of one robot's runs, by name: the main study's in full, curves and bars for each other study.
 
-    Where the main experiment has no runs, all runs stand in its figures. Archives are those of the first seed.
+    If the main study has no runs, its figures show all runs. Archives are those of the first seed.
     """
     main = of_study(runs, "main") or runs
     metrics = tables.read_metrics(main)
@@ -56,19 +57,19 @@ def draw(runs: Runs, env: str) -> dict[str, Figure]:
     first = {name: read_archive(folders[0]) for name, folders in main.items()}
     figures["archives"] = plotting.archives_side_by_side(first, robot=env)
     for study in STUDIES:
-        mine = of_study(runs, study)
-        if study != "main" and set(mine) - set(main):
-            figures[f"{study}-curves"] = plotting.learning_curves(tables.read_metrics(mine))
-            figures[f"{study}-bars"] = plotting.bars(tables.final(mine))
+        compared = of_study(runs, study)
+        if study != "main" and set(compared) - set(main):
+            figures[f"{study}-curves"] = plotting.learning_curves(tables.read_metrics(compared))
+            figures[f"{study}-bars"] = plotting.bars(tables.final(compared))
             if study == "p-and-q":
-                figures[f"{study}-grid"] = plotting.grid(tables.final(mine))
+                figures[f"{study}-grid"] = plotting.grid(tables.final(compared))
     return figures
 
 
 def write_figures(env: str, budget: str, seeds: Sequence[int] | None = None, root: Path = RESULTS) -> list[Path]:
-    """Draw the finished runs of ``seeds`` (None: of all), each figure as PNG and PDF, and two tables.
+    """Draw the finished runs of ``seeds`` (None: all), each figure as PNG and PDF, and write two tables.
 
-    Returns the files written. Raises ConfigError where there is no finished run to draw.
+    Returns the files written. Raises ConfigError if there is no finished run to draw.
     """
     for seed in seeds or (1,):
         make_config(env, "true", budget, seed)
@@ -83,8 +84,8 @@ def write_figures(env: str, budget: str, seeds: Sequence[int] | None = None, roo
         for path in plotting.save(figure, base.with_name(f"{base.name}-{name}"))
     ]
     tables_of = {"summary": of_study(runs, "main") or runs, "all-runs": runs}
-    for name, mine in tables_of.items():
-        path, content = base.with_name(f"{base.name}-{name}.md"), summary_table(mine).encode()
+    for name, shown in tables_of.items():
+        path, content = base.with_name(f"{base.name}-{name}.md"), summary_table(shown).encode()
         replace_file(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
         written.append(path)
     return written

@@ -1,8 +1,8 @@
 """The paper's numbers, as far as they could be recovered: its tables are lost, some figures and result files are not.
 
-They stand in ``paper_numbers.csv``, each with its source. Two sources are kept apart here: ``PAPER``, the paper's own
-figures and its authors' result files, and ``LATER``, the table of the paper's later version, whose methods differ
-(p = 0, q = 2, no measure conditioning in their names); a later number never stands in for the paper's.
+``paper_numbers.csv`` holds each number with its source. Two origins are kept apart here. ``PAPER`` is the paper's own
+figures and its authors' result files. ``LATER`` is the table of the paper's later version, whose methods differ (p = 0,
+q = 2, no measure conditioning in their names); a later number never stands in for the paper's.
 """
 
 from functools import cache
@@ -15,14 +15,14 @@ PAPER, LATER = "paper", "later version"
 METRICS = ("qd_score", "coverage", "best", "average")
 NOT_RECOVERABLE = "not recoverable"
 NOT_IN_PAPER = "not in the paper"
-# What the later version calls the bonus added to a base.
+# The later version's names for a base with the bonus.
 LATER_NAMES = {"mconbo-gail": "ebc-gail", "mconbo-vail": "ebc-vail"}
-# What the paper has runs of, on all three robots, whether or not their numbers are known (Figs. 5, 8, 11, 15, Table 1).
+# Experiments of the paper on all three robots, whether or not their numbers are known (Figs. 5, 8, 11, 15, Table 1).
 EVERYWHERE = (
     *("true", "gail", "mcond-gail", "mconbo-gail", "mconbo-gail-obs", "vail", "mconbo-vail"),
     *("airl", "giril", "pwil", "maxent"),
 )
-ON_ONE_ROBOT = {  # and on one alone (Figs. 12 to 14, 16)
+ON_ONE_ROBOT = {  # experiments of the paper on a single robot (Figs. 12 to 14, 16)
     "mbo-true": "humanoid",
     **{f"{name}+demo_episodes={n}": "walker2d" for name in ("gail", "mconbo-gail") for n in (1, 2)},
     "mconbo-gail+demo_episodes=10": "walker2d",
@@ -38,7 +38,7 @@ class Spread(NamedTuple):
 
 
 def has(env: str, experiment: str) -> bool:
-    """Whether the paper has runs of an experiment on a robot. Where Fig. 10 varies p and q it does not say: on any."""
+    """Whether the paper has runs of an experiment on a robot. Fig. 10 (p and q) names no robot: true for any."""
     method, *settings = experiment.split("+")
     if method == "mconbo-gail" and settings and all(text.startswith(("bonus_p=", "bonus_q=")) for text in settings):
         return True
@@ -59,18 +59,18 @@ def _origin(source: str) -> str:
 def numbers() -> pd.DataFrame:
     """A row per number: source, environment, method, n_demos, n_seeds, metric, value, spread, spread_kind, note.
 
-    ``coverage_pct`` is in percent, all else in reward units. Two columns are ours: ``origin`` (``PAPER`` or ``LATER``)
-    and ``iteration`` (for numbers from the middle of a run; empty: its end).
+    ``coverage_pct`` is in percent, every other metric in reward units. Two columns are ours: ``origin`` (``PAPER`` or
+    ``LATER``) and ``iteration`` (of numbers from the middle of a run; empty: its end).
     """
     return _numbers().copy()
 
 
 def value(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PAPER) -> float | None:
-    """The paper's number for the end of a method's runs, its mean over seeds; None where it is not recoverable.
+    """The paper's number for the end of a method's runs, a mean over seeds; None if it is not recoverable.
 
-    ``metric`` is one of ``METRICS``; coverage is a share of the cells, as everywhere here. What was run without
-    demonstrations has the same number for any ``n_demos``. ``origin=LATER`` gives the later version's, for the method
-    that plays the same part there. Raises ValueError for an unknown metric or origin.
+    ``metric`` is one of ``METRICS``; coverage is a share of the cells, as everywhere here. A method without
+    demonstrations has the same number for any ``n_demos``. ``origin=LATER`` gives the later version's number for the
+    corresponding method. Raises ValueError for an unknown metric or origin.
     """
     found = _found(env, method, metric, n_demos, origin)
     scale = 100.0 if metric == "coverage" else 1.0
@@ -78,7 +78,7 @@ def value(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PA
 
 
 def spread(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PAPER) -> Spread | None:
-    """How far the number that ``value`` gives spreads over its seeds; None where unknown."""
+    """How far the number that ``value`` gives spreads over its seeds; None if unknown."""
     found = _found(env, method, metric, n_demos, origin).dropna(subset="spread")
     if len(found) != 1:
         return None
@@ -102,8 +102,8 @@ def _found(env: str, method: str, metric: str, n_demos: int, origin: str) -> pd.
 
 
 def expert_progress(env: str) -> pd.Series:
-    """The paper's expert's QD-score by QD iteration, as far as known, its end included."""
+    """The QD-score of the paper's expert by QD iteration, as far as known, the last iteration included."""
     table = _numbers()
-    mine = table[(table["environment"] == env) & (table["method"] == "true") & (table["metric"] == "qd_score")]
-    ends = mine["note"].str.extract(r"iteration (\d+)", expand=False).astype(int)
-    return pd.Series(mine["value"].to_numpy(), index=pd.Index(ends, name="iteration"), name="qd_score").sort_index()
+    known = table[(table["environment"] == env) & (table["method"] == "true") & (table["metric"] == "qd_score")]
+    ends = known["note"].str.extract(r"iteration (\d+)", expand=False).astype(int)
+    return pd.Series(known["value"].to_numpy(), index=pd.Index(ends, name="iteration"), name="qd_score").sort_index()

@@ -1,4 +1,4 @@
-"""Numbers that claims are judged by, each read from one finished run's own files."""
+"""The numbers that claims compare, each read from the files of one finished run."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,13 +12,13 @@ from qdil.runs.folder import read_archive
 
 
 def c0_rise(metrics: pd.DataFrame) -> float:
-    """How far |c_0| of the xNES mean moves in an iteration that finds new cells, on average (Appendix G).
+    """The mean change of |c_0| of the xNES mean in an iteration that finds new cells (Appendix G).
 
-    |c_0| is what multiplies the fitness gradient. Only iterations after which more cells are filled than before count,
-    and none that begins with xNES restarted, where c_0 comes from 0 and can do nothing but rise. Not-a-number where
-    there are none.
+    |c_0| is the weight of the fitness gradient. An iteration counts if more cells are filled after it than before and
+    if the one before did not end in a restart: from a restarted xNES, whose c_0 is 0, |c_0| can only rise.
+    Not-a-number if no iteration counts.
     """
-    restarted = metrics["restarts"].diff().fillna(metrics["restarts"]) > 0  # after its c_0 was written down
+    restarted = metrics["restarts"].diff().fillna(metrics["restarts"]) > 0  # the row's c_0 is from before the restart
     began_afresh = restarted.shift(1, fill_value=False)
     counted = (metrics["coverage"].diff() > 0) & ~began_afresh
     return float(metrics["c0"].abs().diff()[counted].mean())
@@ -27,7 +27,8 @@ def c0_rise(metrics: pd.DataFrame) -> float:
 def roughness(archive: Mapping[str, Any], field: str = "true_return") -> float:
     """How much a cell differs from the next: the mean |difference| of neighbours over the mean |value| (Fig. 6).
 
-    Neighbours are filled cells that share an edge. Not-a-number where no two do, or all values are 0.
+    Neighbours are filled cells that share an edge (a face, for k > 2). Not-a-number if no two cells are neighbours or
+    all values are 0.
     """
     grid = np.full([int(cells) for cells in archive["cells"]], np.nan)
     grid.flat[np.asarray(archive["index"])] = archive[field]

@@ -1,4 +1,4 @@
-"""Verdicts as tables: one to show, one to print, and the page ``claims.md``."""
+"""Verdicts as tables to show and to print, and as the page ``claims.md``."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -11,52 +11,53 @@ from qdil.evidence.markdown import markdown_table
 from qdil.evidence.readings import NAMES
 from qdil.evidence.verdicts import KINDS, NO_RUNS, Finding, Part, Verdict
 from qdil.files import replace_file
-from qdil.lab.lemma.trials import ROUNDING
+from qdil.lab.lemma.results import ROUNDING
 from qdil.names import label
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.runs.folder import RESULTS
 from qdil.runs.studies import STUDIES
 
 HOW_TO_READ = """\
-*Reproduced*: the 95 % stratified bootstrap interval over seeds says so. *Not reproduced*: it says the opposite.
-*Inconclusive*: it holds both, or an arm has fewer than two seeds. *No runs*: an experiment that the claim compares has
-none. A claim with several comparisons needs all of them, and fails with one. Questions of our own (Q) are answered with
-yes and no. `docs/claims.md` says how far intervals over few seeds can be trusted."""
+*Reproduced*: the whole 95 % stratified bootstrap interval over seeds agrees with the claim. *Not reproduced*: all of it
+contradicts the claim. *Inconclusive*: only part of it agrees, or an arm has fewer than two seeds. *No runs*: an
+experiment that the claim compares has none. A claim with several comparisons needs all of them, and fails if one fails.
+Our own questions (Q) are answered with yes and no. `docs/claims.md` explains how far intervals over few seeds can be
+trusted."""
 SCALE = {
-    "smoke": "Nothing has been learned at this budget: it tests that every line runs, and its verdicts mean nothing.",
-    "laptop": "Ours and the paper's numbers differ in scale (cells, episodes, training): compare order, not size.",
-    "full": "Ours and the paper's numbers are of the same scale.",
+    "smoke": "Nothing is learned at this budget: it tests that every line runs, and its verdicts mean nothing.",
+    "laptop": "Our numbers and the paper's differ in scale (cells, episodes, training): compare order, not size.",
+    "full": "Our numbers and the paper's are of the same scale.",
 }
-BEYOND = "†"  # marks robots, and problems of Lemma 1, of which the paper does not claim it
-NO_NUMBER = "no number"  # of what the paper shows or says without one
-QUESTION = {"reproduced": "yes", "not reproduced": "no"}  # the words of verdicts on questions of our own
+UNCLAIMED = "†"  # marks a robot, or a problem of Lemma 1, that the paper does not make the claim of
+NOTE = f"{UNCLAIMED} The paper does not make the claim of this robot or problem."
+NO_NUMBER = "no number"  # for what the paper shows without a number
+ANSWERS = {"reproduced": "yes", "not reproduced": "no"}  # verdicts on our own questions
 
 
-def words(verdict: Verdict, said: str | None = None) -> str:
-    """A verdict in words; questions of our own are answered with yes or no."""
-    said = verdict.verdict if said is None else said
-    return QUESTION.get(said, said) if verdict.claim.where == "ours" else said
+def words(verdict: Verdict, status: str) -> str:
+    """``status``, a verdict on a claim or on a part of it, in words; our own questions are answered with yes or no."""
+    return ANSWERS.get(status, status) if verdict.claim.where == "ours" else status
 
 
 def overview(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """A row per claim, a column per robot (and the small problem of Lemma 1): the verdict alone."""
+    """A row per claim, a column per robot (and per small problem of Lemma 1): the verdict alone."""
     envs = sorted({v.env for v in verdicts}, key=lambda env: ([*PAPER_ROBOTS, env].index(env), env))
     rows: dict[str, dict[str, str]] = {}
     for v in verdicts:
         row = rows.setdefault(v.claim.id, {"claim": v.claim.sentence, "where": v.claim.where} | dict.fromkeys(envs, ""))
-        row[v.env] = words(v) + (f" {BEYOND}" if v.beyond else "")
+        row[v.env] = words(v, v.verdict) + (f" {UNCLAIMED}" if v.unclaimed else "")
     return pd.DataFrame.from_dict(rows, orient="index", columns=["claim", "where", *envs]).rename_axis("id")
 
 
 def table(verdicts: Sequence[Verdict], all_rows: bool = False) -> pd.DataFrame:
     """A row per comparison: the paper's numbers, ours, the difference with its interval, the seeds and the verdict.
 
-    What cannot be compared for want of runs has no row, unless ``all_rows``.
+    A comparison without runs has no row, unless ``all_rows``.
     """
     rows = [
         {
             "id": v.claim.id,
-            "robot": v.env + (f" {BEYOND}" if v.beyond else ""),
+            "robot": v.env + (f" {UNCLAIMED}" if v.unclaimed else ""),
             "comparison": comparison(finding.part),
             "paper": of_paper(v.env, finding.part, v.claim.where == "ours"),
             "ours": _numbers(finding.part.reading, finding.means) + _fallen(finding.trials),
@@ -73,18 +74,18 @@ def table(verdicts: Sequence[Verdict], all_rows: bool = False) -> pd.DataFrame:
 
 
 def _fallen(trials: Sequence[float]) -> str:
-    """In how many single trials of Lemma 1 the probability fell."""
+    """The share of Lemma 1's single trials in which the probability fell."""
     return f" (fell in {np.mean(np.asarray(trials) < -ROUNDING):.0%} of {len(trials)} trials)" if trials else ""
 
 
 def _seeds(counts: Sequence[int]) -> str:
-    """Runs of ours and of the reference, or of the references from fewest to most."""
+    """The number of our runs and of the reference's, or the fewest and the most of several references."""
     others = [str(count) for count in dict.fromkeys((min(counts[1:]), max(counts[1:])))] if counts[1:] else []
     return " / ".join([str(counts[0]), *([" to ".join(others)] if others else [])])
 
 
 def comparison(part: Part) -> str:
-    """What is compared, in words."""
+    """A comparison in words."""
     name, kind = NAMES[part.reading], KINDS[part.kind].words
     if part.kind == "not below" and part.number:
         kind += f" ({part.number:.0%} margin)"
@@ -98,7 +99,10 @@ def comparison(part: Part) -> str:
 
 
 def of_paper(env: str, part: Part, ours: bool = False) -> str:
-    """The paper's numbers of a comparison, "not recoverable" where lost, with the later version's where it has all."""
+    """The paper's numbers for a comparison, "not recoverable" if lost, with the later version's if it has all of them.
+
+    ``ours``: the comparison belongs to one of our own questions.
+    """
     if ours or part.reading not in paper.METRICS:
         return "–" if ours else NO_NUMBER
     names = (part.ours, *part.against) if len(part.against) < 2 else (part.ours,)
@@ -120,7 +124,7 @@ def _number(reading: str, value: float) -> str:
 
 
 def _numbers(reading: str, values: Sequence[float], missing: str = "none") -> str:
-    """Ours against the reference, the best of several references alone."""
+    """Our number against the reference's; of several references, the highest alone."""
     shown = [values[0], np.nanmax([-np.inf, *values[1:]])] if len(values) > 1 else [values[0]]
     return " against ".join(_number(reading, value) if np.isfinite(value) else missing for value in shown)
 
@@ -141,7 +145,7 @@ def _signed(reading: str, value: float) -> str:
 
 
 def plain(verdicts: Sequence[Verdict]) -> str:
-    """Verdicts for a terminal: a line per claim, then what is behind those that have runs."""
+    """Verdicts for a terminal: a line per claim, then every comparison that has runs."""
     short = overview(verdicts).drop(columns="where").reset_index()
     short = short[[name for name in short if name != "claim"] + ["claim"]]
     rows = table(verdicts).to_dict("records")
@@ -151,31 +155,35 @@ def plain(verdicts: Sequence[Verdict]) -> str:
         f"    paper {row['paper']}"
         for row in rows
     ]
-    note = f"{BEYOND} The paper does not claim it of this robot or problem."
-    return "\n".join([markdown_table(short), note, "", *(lines or ["There are no runs to compare."])])
+    return "\n".join([markdown_table(short), NOTE, "", *(lines or ["There are no runs to compare."])])
 
 
 def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> str:
     """The page ``claims.md``: verdicts, comparisons, the runs behind them, and every claim's rule."""
-    details, claims = table(verdicts), dict.fromkeys(v.claim for v in verdicts)
+    details, claims, envs = table(verdicts), dict.fromkeys(v.claim for v in verdicts), _envs(verdicts)
     names = dict.fromkeys(n for claim in claims for part in claim.parts for n in (part.ours, *part.against))
     parts = [
         f"# The paper's claims, judged from runs at the {budget} budget",
-        f"Written by `qdil claims --budget {budget}` from finished runs and nothing else.\n{HOW_TO_READ}",
+        f"Written by `qdil claims --budget {budget}`, from finished runs alone.\n{HOW_TO_READ}",
         "## Verdicts",
         markdown_table(overview(verdicts).reset_index()),
-        f"{BEYOND} The paper does not claim it of this robot or problem.",
+        NOTE,
         "## Comparisons",
         markdown_table(details) if len(details) else "There are no runs.",
         SCALE[budget],
         "## Over all robots",
-        over_robots(dict.fromkeys(v.env for v in verdicts), budget, root),
+        over_robots(envs, budget, root),
         "## Runs",
-        provenance.sentences(dict.fromkeys(v.env for v in verdicts), tuple(names), budget, root),
+        provenance.sentences(envs, tuple(names), budget, root),
         "## Rules",
         "\n".join(f"* **{claim.id}** {claim.sentence} ({claim.where}). {claim.rule}" for claim in claims),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _envs(verdicts: Sequence[Verdict]) -> list[str]:
+    """The robots (and the small problems of Lemma 1) that were judged, each once."""
+    return list(dict.fromkeys(v.env for v in verdicts))
 
 
 def over_robots(envs: Iterable[str], budget: str, root: Path) -> str:
@@ -190,15 +198,15 @@ def over_robots(envs: Iterable[str], budget: str, root: Path) -> str:
         "seeds": shares["seeds"],
         "QD-score, share of the expert's": [f"{share:.0%}" for share in shares["share"]],
         "95 % interval": [
-            f"[{low:.0%}, {high:.0%}]" if low == low else "none" for low, high in shares[["low", "high"]].values
+            "none" if np.isnan(low) else f"[{low:.0%}, {high:.0%}]" for low, high in shares[["low", "high"]].values
         ],
     }
-    explained = "Interquartile means over robots and seeds, each run divided by its robot's expert's mean."
-    return f"{explained}\n\n{markdown_table(pd.DataFrame(shown))}"
+    note = "Interquartile means over robots and seeds. Each run is divided by the mean of its robot's expert."
+    return f"{note}\n\n{markdown_table(pd.DataFrame(shown))}"
 
 
 def page_of(budget: str, root: Path = RESULTS) -> Path:
-    """Where a budget's verdicts are kept: the laptop's are the repository's, others lie with their own runs."""
+    """Where a budget's verdicts are kept: the laptop's at the top of ``root``, others beside their own runs."""
     return root / "claims.md" if budget == "laptop" else root / budget / "claims.md"
 
 

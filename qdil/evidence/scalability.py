@@ -1,4 +1,4 @@
-"""Final metrics by the number of demonstrations: ours from runs, the paper's from its figure (Figs. 12, 13)."""
+"""Final metrics by the number of demonstrations: ours from runs, the paper's from its figures (Figs. 12, 13)."""
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,8 @@ def ours(runs: tables.Runs, env: str, budget: str) -> pd.DataFrame:
     """A row per method, number of demonstrations and metric of ``runs``.
 
     ``value`` is the mean over seeds in reward units, coverage as a share of the cells; ``spread`` the standard
-    deviation over seeds, NaN of a single one. An experiment without a number of its own has the budget's.
+    deviation over seeds, not-a-number for a single seed. An experiment that does not name a number of demonstrations
+    has the budget's.
     """
     rows = []
     for name, group in tables.final(runs).groupby(level="experiment", sort=False):
@@ -26,7 +27,7 @@ def ours(runs: tables.Runs, env: str, budget: str) -> pd.DataFrame:
 
 
 def published(env: str) -> pd.DataFrame:
-    """The same of the paper's figure, as far as it could be read; ``spread`` is its standard error of three seeds."""
+    """The paper's numbers in the same columns, as far as known; ``spread`` is the standard error of three seeds."""
     known = _known(env)
     shares = known["metric"] == "coverage_pct"
     scale = np.where(shares, 0.01, 1.0)
@@ -42,7 +43,7 @@ def published(env: str) -> pd.DataFrame:
 
 
 def notes(env: str) -> str:
-    """What whoever read those numbers off the figure remarked; empty where there is nothing."""
+    """Remarks on how the paper's numbers were read off its figure; empty if there are none."""
     return "; ".join(_known(env)["note"].dropna().unique())
 
 

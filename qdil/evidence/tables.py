@@ -26,7 +26,7 @@ COLUMNS = {
     "minutes": "minutes",
 }
 SHORT = {"standard error": "s.e."}
-# What a number is multiplied by, its format and its unit; all others are whole numbers.
+# The factor, format and unit of a metric in tables; other metrics are shown as whole numbers.
 FORMS = {
     "qd_score": (1, ",.0f", ""),
     "coverage": (100, ".1f", "%"),
@@ -36,7 +36,7 @@ FORMS = {
 
 
 def finished_seeds(names: Iterable[str], env: str, budget: str, root: Path = RESULTS) -> dict[str, list[Path]]:
-    """``experiments.finished`` with every seed that any run there has, and not the budget's own alone."""
+    """``experiments.finished`` with every seed of which there is a run, and not the budget's own seeds alone."""
     names = tuple(names)
     found = {path.name for name in names for path in (root / budget / env / name).glob("seed-*")}
     seeds = sorted(int(name.removeprefix("seed-")) for name in found if name.removeprefix("seed-").isdigit())
@@ -49,7 +49,7 @@ def read_metrics(runs: Runs) -> dict[str, list[pd.DataFrame]]:
 
 
 def final(runs: Runs) -> pd.DataFrame:
-    """A row per experiment and seed with its final metrics, from the run's own files alone.
+    """A row per experiment and seed with the run's final metrics, read from its files.
 
     Index ``experiment`` and ``seed``; columns ``qd_score``, ``best``, ``average`` in reward units, ``coverage`` as a
     share of the cells, ``rescored_average`` (the elites over fresh episodes, free of the luck that won them their
@@ -61,7 +61,7 @@ def final(runs: Runs) -> pd.DataFrame:
 
 
 def seed_of(folder: Path) -> int:
-    """The seed that a run's folder is called after."""
+    """The seed in the name of a run's folder."""
     return int(folder.name.removeprefix("seed-"))
 
 
@@ -76,16 +76,16 @@ def _last(folder: Path) -> dict[str, float]:
 
 
 def text(metric: str, value: float, spread: float | None = None) -> str:
-    """A number as tables show it, "mean ± standard deviation" where there is a spread."""
-    scale, form, unit = FORMS.get(metric, (1, ".0f", ""))
-    shown = format(scale * value, form)
-    return f"{shown}{unit}" if spread is None else f"{shown} ± {format(scale * spread, form)}{unit}"
+    """A number as tables show it; with a ``spread`` as "mean ± standard deviation"."""
+    factor, form, unit = FORMS.get(metric, (1, ".0f", ""))
+    shown = format(factor * value, form)
+    return f"{shown}{unit}" if spread is None else f"{shown} ± {format(factor * spread, form)}{unit}"
 
 
 def summary(runs: Runs) -> pd.DataFrame:
-    """A row per experiment, texts: the mean over seeds ± its standard deviation; of a single seed the number alone.
+    """A row per experiment of texts: the mean over seeds ± its standard deviation, or the number of a single seed.
 
-    The column "seeds" counts them.
+    The column "seeds" is the number of seeds.
     """
     groups = final(runs).groupby(level="experiment", sort=False)
     rows = {}
@@ -97,7 +97,7 @@ def summary(runs: Runs) -> pd.DataFrame:
 
 
 def ends(runs: Runs, iterations: int = 10) -> pd.DataFrame:
-    """The four metrics over the last ``iterations`` of all seeds together, as in Table 9: mean ± standard deviation."""
+    """Mean ± standard deviation of the four metrics over the last ``iterations`` of all seeds, as in Table 9."""
     rows = {}
     for name, seeds in read_metrics(runs).items():
         last = pd.concat([seed.tail(iterations) for seed in seeds])
@@ -107,7 +107,7 @@ def ends(runs: Runs, iterations: int = 10) -> pd.DataFrame:
 
 
 def beside_paper(runs: Runs, env: str) -> pd.DataFrame:
-    """``summary``'s four metrics, each with the paper's number beside ours; texts, see ``of_paper``."""
+    """``summary``'s four metrics, each with the paper's number beside ours, as texts; see ``of_paper``."""
     ours = summary(runs)
     table = {}
     for key in paper.METRICS:
@@ -118,9 +118,9 @@ def beside_paper(runs: Runs, env: str) -> pd.DataFrame:
 
 
 def of_paper(env: str, experiment: str, metric: str) -> str:
-    """The paper's number for an experiment as a text, with its spread where that is known: "1,429 ± 42 (s.e.)".
+    """The paper's number for an experiment as a text, with its spread if that is known: "1,429 ± 42 (s.e.)".
 
-    "not recoverable" where it is lost, "not in the paper" where there never was one.
+    "not recoverable" if it is lost, "not in the paper" if there never was one.
     """
     number = paper_value(env, experiment, metric)
     if number is None:
@@ -133,16 +133,16 @@ def of_paper(env: str, experiment: str, metric: str) -> str:
 
 
 def paper_value(env: str, experiment: str, metric: str, origin: str = paper.PAPER) -> float | None:
-    """The paper's number for an experiment; None where it is lost or the experiment is not one of the paper's.
+    """The paper's number for an experiment; None if it is lost or the experiment is not one of the paper's.
 
-    An experiment with other settings than a number of demonstrations has no number of the paper's.
+    The only setting that the paper varies with a number of its own is the number of demonstrations.
     """
     method, demos = _method_and_demos(experiment)
     return paper.value(env, method, metric, demos, origin) if demos else None
 
 
 def _method_and_demos(experiment: str) -> tuple[str, int]:
-    """An experiment's method and number of demonstrations, 4 unless named; 0 where it has any other setting."""
+    """An experiment's method and number of demonstrations, 4 unless named; 0 if it has any other setting."""
     method, *settings = experiment.split("+")
     demos = [setting.removeprefix("demo_episodes=") for setting in settings if setting.startswith("demo_episodes=")]
     if len(demos) < len(settings):
@@ -153,24 +153,27 @@ def _method_and_demos(experiment: str) -> tuple[str, int]:
 def share_of_expert(runs: Mapping[str, Runs], metric: str = "qd_score") -> pd.DataFrame:
     """A metric as a share of the expert's, over robots: a row per experiment with its interquartile mean.
 
-    ``runs`` by robot; each run is divided by the mean of the same robot's ``true`` runs, and robots without any are
-    left out. ``low`` and ``high`` bound the 95 % bootstrap interval, resampled within each robot. Columns also
-    ``robots`` and ``seeds``, how many there are of each.
+    ``runs`` by robot. Each run is divided by the mean of the same robot's ``true`` runs; a robot without such runs is
+    left out. ``low`` and ``high`` bound the 95 % bootstrap interval, resampled within each robot. ``robots`` and
+    ``seeds`` are the numbers of robots and of seeds over all robots.
     """
-    numbers = {env: final(mine)[metric] for env, mine in runs.items() if "true" in mine}
-    shares = {env: values / values.xs("true", level="experiment").mean() for env, values in numbers.items()}
-    rows = {}
-    for name in dict.fromkeys(name for values in shares.values() for name in values.index.get_level_values(0)):
-        strata = [
-            v.xs(name, level="experiment").to_list() for v in shares.values() if name in v.index.get_level_values(0)
-        ]
-        rows[name] = {"robots": len(strata), "seeds": sum(map(len, strata)), **stats.stratified(strata)._asdict()}
+    by_experiment: dict[str, list[list[float]]] = {}
+    for by_name in runs.values():
+        if "true" in by_name:
+            values = final(by_name)[metric]
+            shares = values / values.xs("true", level="experiment").mean()
+            for name, group in shares.groupby(level="experiment", sort=False):
+                by_experiment.setdefault(str(name), []).append(group.to_list())
+    rows = {
+        name: {"robots": len(strata), "seeds": sum(map(len, strata)), **stats.stratified(strata)._asdict()}
+        for name, strata in by_experiment.items()
+    }
     table = pd.DataFrame.from_dict(rows, orient="index", columns=["robots", "seeds", *stats.Interval._fields])
     return table.rename(columns={"estimate": "share"}).rename_axis("experiment")
 
 
 def later_paper(envs: Sequence[str] = PAPER_ROBOTS, methods: Sequence[str] | None = None) -> pd.DataFrame:
-    """The table of the paper's later version, texts: a row per robot and method, or those of ``methods`` alone."""
+    """The table of the paper's later version as texts: a row per robot and method (of ``methods``; None: of all)."""
     found = paper.numbers()
     found = found[(found["origin"] == paper.LATER) & found["environment"].isin(envs)]
     if methods is not None:
@@ -179,7 +182,7 @@ def later_paper(envs: Sequence[str] = PAPER_ROBOTS, methods: Sequence[str] | Non
 
 
 def published(numbers: pd.DataFrame, index: Sequence[str] = ("environment", "method")) -> pd.DataFrame:
-    """Some rows of ``paper.numbers()`` as texts, a column per metric; ``index`` names what tells its rows apart."""
+    """Rows of ``paper.numbers()`` as texts, a column per metric; ``index`` names the columns that identify a row."""
     values = numbers.pivot_table(index=list(index), columns="metric", values="value", sort=False)
     values = values.rename(columns={"coverage_pct": "coverage"})[list(paper.METRICS)]
     values["coverage"] /= 100.0

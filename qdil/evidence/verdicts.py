@@ -1,4 +1,4 @@
-"""How a claim is judged: what one comparison says, what an interval makes of it, and several comparisons together."""
+"""How a claim is judged: the verdict on one comparison from its interval, and the verdict on several together."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -14,12 +14,12 @@ SMALL_MDP = "mdp"  # the problem of Lemma 1, with episodes of equal length, as i
 
 
 class Part(NamedTuple):
-    """One comparison of a claim: runs of ``ours`` against those of other experiments, in one number per run."""
+    """One comparison of a claim: runs of ``ours`` with those of other experiments, or with a number."""
 
     kind: str  # of comparison: a key of KINDS
     ours: str  # experiment
-    against: tuple[str, ...]  # experiments; none where ``ours`` is held against a number
-    reading: str  # the number of a run: a key of readings.READINGS, or "probability" (of the lemma's file)
+    against: tuple[str, ...]  # experiments; empty if ``ours`` is compared with ``number``
+    reading: str  # what is compared, one number per run: a key of readings.READINGS, or "probability" (Lemma 1)
     number: float = 0.0  # "not below": tolerated loss as a share of the reference; "at least": the number itself
 
 
@@ -29,20 +29,20 @@ class Claim(NamedTuple):
     id: str
     sentence: str
     where: str  # in the paper; "ours" for questions
-    robots: tuple[str, ...]  # those it is about; others are judged too, and marked
+    robots: tuple[str, ...]  # that the paper claims it of; others are judged too, and marked
     parts: tuple[Part, ...]  # all must hold
-    rule: str  # how the sentence is made exact
+    rule: str  # what exactly the sentence means here
 
 
 class Finding(NamedTuple):
-    """What the runs say of one comparison."""
+    """The result of one comparison."""
 
     part: Part
     means: tuple[float, ...]  # of ours and of every experiment against it; not-a-number without runs
-    seeds: tuple[int, ...]  # runs of each
-    difference: Interval  # ours minus reference, or minus the number it is held against
+    seeds: tuple[int, ...]  # the number of runs of each
+    difference: Interval  # ours minus the reference, or minus the number
     verdict: str
-    trials: tuple[float, ...] = ()  # single ones of Lemma 1, whose mean alone the verdict speaks of
+    trials: tuple[float, ...] = ()  # the changes in Lemma 1's single trials; the verdict is on their mean alone
 
 
 class Verdict(NamedTuple):
@@ -54,23 +54,23 @@ class Verdict(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """All comparisons together."""
+        """The verdict on all comparisons together."""
         return together([finding.verdict for finding in self.findings])
 
     @property
-    def beyond(self) -> bool:
-        """Whether the paper does not claim this of this robot, or the lemma of this problem."""
+    def unclaimed(self) -> bool:
+        """True if the paper does not claim it of this robot, or the lemma of this problem."""
         return self.env not in (SMALL_MDP, *self.claim.robots)
 
 
 class Kind(NamedTuple):
-    """One way to compare: how far ours is ahead, and from where on that counts."""
+    """One way to compare: a difference, and the bar that it must pass."""
 
     words: str  # between ours and the others, in tables
-    ahead: Callable[[Part, Sequence[Sequence[float]]], Interval]  # (part, values of ours and the others)
-    bar: Callable[[Part, Sequence[float]], float]  # (part, their means): the claim holds above it
-    sign: float = 1.0  # -1: ours is claimed to be lower
-    inclusive: bool = False  # whether exactly at the bar is enough
+    difference: Callable[[Part, Sequence[Sequence[float]]], Interval]  # (part, values of ours and the others)
+    bar: Callable[[Part, Sequence[float]], float]  # (part, their means): the difference must lie above it
+    sign: float = 1.0  # -1: the claim is that ours is lower
+    inclusive: bool = False  # True: a difference equal to the bar is enough
 
 
 def _minus(part: Part, values: Sequence[Sequence[float]]) -> Interval:
@@ -85,23 +85,25 @@ def _over_number(part: Part, values: Sequence[Sequence[float]]) -> Interval:
     return Interval(*(end - part.number for end in stats.bootstrap_interval(values[0])))
 
 
-def _nought(part: Part, means: Sequence[float]) -> float:
+def _zero(part: Part, means: Sequence[float]) -> float:
     return 0.0
 
 
 KINDS = {
-    "above": Kind("above", _minus, _nought),
-    "below": Kind("below", _minus, _nought, sign=-1.0),
+    "above": Kind("above", _minus, _zero),
+    "below": Kind("below", _minus, _zero, sign=-1.0),
     "not below": Kind("not below", _minus, lambda part, means: -part.number * abs(means[1]), inclusive=True),
-    "best of": Kind("above the best of", _over_best, _nought),
-    "at least": Kind("at least", _over_number, _nought, inclusive=True),
-    "more than": Kind("more than", _over_number, _nought),
+    "best of": Kind("above the best of", _over_best, _zero),
+    "at least": Kind("at least", _over_number, _zero, inclusive=True),
+    "more than": Kind("more than", _over_number, _zero),
 }
 
 
 def decide(difference: Interval, bar: float = 0.0, sign: float = 1.0, inclusive: bool = False) -> str:
-    """A claim that ``difference`` (times ``sign``) is above ``bar``: reproduced where its whole interval is, not
-    reproduced where none of it is, inconclusive where it has both or there is no interval.
+    """The verdict on the claim that ``difference`` (times ``sign``) is above ``bar``.
+
+    Reproduced if its whole interval lies above, not reproduced if none of it does, inconclusive if part of it does or
+    if there is no interval. ``inclusive``: a value equal to ``bar`` counts as above.
     """
     if not difference.known():
         return INCONCLUSIVE
@@ -114,26 +116,29 @@ def decide(difference: Interval, bar: float = 0.0, sign: float = 1.0, inclusive:
 
 
 def find(part: Part, values: Mapping[str, Sequence[float]]) -> Finding:
-    """Judge one comparison; ``values`` are a reading's numbers by experiment, one per seed, none for what was not run.
+    """Judge one comparison; ``values`` are a reading's numbers by experiment, one per seed.
 
-    "no runs" where one of its experiments has none; inconclusive where one has fewer than two seeds.
+    "no runs" if one of its experiments has none; inconclusive if one has fewer than two seeds.
     """
     kind = KINDS[part.kind]
     arms = [list(values.get(name, ())) for name in (part.ours, *part.against)]
     means = tuple(float(np.mean(arm)) if arm else float("nan") for arm in arms)
     if not all(arms):
-        nothing = Interval(np.nan, np.nan, np.nan)
-        return Finding(part, means, tuple(map(len, arms)), nothing, NO_RUNS)
-    difference = kind.ahead(part, arms)
+        unknown = Interval(np.nan, np.nan, np.nan)
+        return Finding(part, means, tuple(map(len, arms)), unknown, NO_RUNS)
+    difference = kind.difference(part, arms)
     verdict = decide(difference, kind.bar(part, means), kind.sign, kind.inclusive)
     return Finding(part, means, tuple(map(len, arms)), difference, verdict)
 
 
 def together(verdicts: Sequence[str]) -> str:
-    """Several comparisons as one claim: reproduced if all are, not reproduced if one is not, else inconclusive."""
-    said = set(verdicts)
-    if said == {NO_RUNS}:
+    """The verdict on a claim: reproduced if all its comparisons are, not reproduced if one is not, else inconclusive.
+
+    "no runs" if none of the comparisons has runs.
+    """
+    distinct = set(verdicts)
+    if distinct == {NO_RUNS}:
         return NO_RUNS
-    if NOT_REPRODUCED in said:
+    if NOT_REPRODUCED in distinct:
         return NOT_REPRODUCED
-    return REPRODUCED if said == {REPRODUCED} else INCONCLUSIVE
+    return REPRODUCED if distinct == {REPRODUCED} else INCONCLUSIVE

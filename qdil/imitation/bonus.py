@@ -3,14 +3,13 @@
 import jax
 import jax.numpy as jnp
 
-from qdil.qd.archive import EDGE
+from qdil.qd.cells import cell_index
 from qdil.types import Transitions
 
 
 def is_empty(occupied: jax.Array, measures: jax.Array) -> jax.Array:
     """1[m ∈ A_e] for ``measures`` (…, k) in [0, 1]^k and the grid ``occupied`` (cells, …) of filled cells."""
-    cells = jnp.asarray(occupied.shape)
-    index = jnp.clip((cells * measures + EDGE).astype(jnp.int32), 0, cells - 1)
+    index = cell_index(measures, occupied.shape, jnp)
     return 1.0 - occupied[tuple(jnp.moveaxis(index, -1, 0))].astype(jnp.float32)
 
 

@@ -1,4 +1,4 @@
-"""An iteration of PPGA taken apart, for whoever wants to watch: a search warmed up, policies compared, θ_μ's path."""
+"""A QD iteration of PPGA taken apart: a search after its warm-up, policies compared, the path of θ_μ."""
 
 from typing import NamedTuple
 
@@ -13,25 +13,25 @@ from qdil.qd import archive
 from qdil.qd.xnes import XNES
 
 
-class Trials(NamedTuple):
-    """Policies over whole episodes, axes (n, r): policy, repetition, each a mean over a candidate's episodes."""
+class RepeatedScores(NamedTuple):
+    """n policies scored r times each over whole episodes; a score is a mean over a candidate's episodes."""
 
     fitness: np.ndarray  # (n, r) return
     measures: np.ndarray  # (n, r, k)
 
 
 def warmed(config: Config, updates: int) -> ppga.Search:
-    """A search just begun, after ``updates`` of plain PPO on its own reward; needs no demonstrations.
+    """A new search after ``updates`` of plain PPO on its own reward.
 
-    ``config.method`` must be of a base that does not imitate.
+    It has no demonstrations, so the base of ``config.method`` must not imitate.
     """
     return ppga.warmed_up(ppga.begin(config, None), updates)
 
 
-def try_out(search: ppga.Search, theta: jax.Array, seed: int) -> Trials:
-    """Score each of n policies ``theta`` (n, P), under the search's normaliser, as often as candidates are scored.
+def try_out(search: ppga.Search, theta: jax.Array, seed: int) -> RepeatedScores:
+    """Score n policies ``theta`` (n, P) side by side, under the search's normaliser, as candidates are scored.
 
-    Every policy takes an equal share of the λ candidates' places: r = λ // n repetitions, so n may be λ at most.
+    The policies share the places of the λ candidates equally: r = λ // n repetitions each, so n is at most λ.
     """
     config, stats = search.config, search.state.stats
     n, repetitions = len(theta), config.ppga.candidates // len(theta)
@@ -40,7 +40,7 @@ def try_out(search: ppga.Search, theta: jax.Array, seed: int) -> Trials:
     scores = ppga.evaluate(search, policies, jax.random.key(seed))
     used = n * repetitions
     fitness = np.asarray(scores.fitness)[:used].reshape(n, repetitions)
-    return Trials(fitness, np.asarray(scores.measures)[:used].reshape(n, repetitions, -1))
+    return RepeatedScores(fitness, np.asarray(scores.measures)[:used].reshape(n, repetitions, -1))
 
 
 def search_policy(search: ppga.Search) -> jax.Array:
@@ -49,44 +49,44 @@ def search_policy(search: ppga.Search) -> jax.Array:
 
 
 def episode(search: ppga.Search) -> np.ndarray:
-    """δ (T, k) of one whole episode of θ_μ as PPO sees it: actions sampled, the first robot's first whole episode.
+    """δ (T, k) of one whole episode of θ_μ as PPO sees it, with sampled actions: the first robot's first whole one.
 
-    The search goes nowhere: it plays, with the programs that it has compiled, and learns nothing.
+    ``search`` stays as it is, and its compiled programs are used.
     """
     config, state = search.config, search.state
     occupied = jnp.asarray(archive.occupied(search.archives))
     proxy, ended = [], []
     for _ in range(2 * config.simulation.episode_length // config.ppo.rollout_length + 1):  # long enough for two ends
-        played = search.engine.rollout(state, occupied)
-        state = played.state
-        proxy.append(np.asarray(played.transitions.proxy[:, 0]))
-        ended.append(np.asarray(played.transitions.ended[:, 0]))
+        rolled = search.engine.rollout(state, occupied)
+        state = rolled.state
+        proxy.append(np.asarray(rolled.transitions.proxy[:, 0]))
+        ended.append(np.asarray(rolled.transitions.ended[:, 0]))
     return np.concatenate(proxy)[first_whole(np.concatenate(ended))]
 
 
 def first_whole(ended: np.ndarray) -> slice:
-    """Rows of the first whole episode, where ``ended`` (T,) marks last steps. Raises ValueError without two ends."""
+    """The rows of the first whole episode; ``ended`` (T,) marks last steps. Raises ValueError with fewer than two."""
     ends = np.flatnonzero(ended)
     if len(ends) < 2:
-        raise ValueError("there is no whole episode between two ends.")
+        raise ValueError("no whole episode lies between two ends.")
     return slice(int(ends[0]) + 1, int(ends[1]) + 1)
 
 
 def distribution(xnes: XNES) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (1+k,) and covariance (1+k, 1+k) of the coefficients that xNES samples, as they are now."""
+    """Mean (1+k,) and covariance (1+k, 1+k) of the coefficients that xNES samples."""
     return xnes.mean.copy(), xnes.sigma**2 * xnes.shape @ xnes.shape.T
 
 
-def compare(trials: Trials, names: list[str], feet: tuple[str, ...]) -> pd.DataFrame:
+def compare(scores: RepeatedScores, names: list[str], feet: tuple[str, ...]) -> pd.DataFrame:
     """A row per policy: means of return and measures over the repetitions, and their standard errors.
 
-    Columns (what, "mean") and (what, "error"). Errors are not-a-number where there is one repetition.
+    Columns (quantity, "mean") and (quantity, "error"). The error of a single repetition is not-a-number.
     """
-    values = {"return": trials.fitness, **{f"{foot} down": trials.measures[..., j] for j, foot in enumerate(feet)}}
+    values = {"return": scores.fitness, **{f"{foot} down": scores.measures[..., j] for j, foot in enumerate(feet)}}
     table = {}
-    for what, numbers in values.items():
-        table[what, "mean"] = numbers.mean(axis=1)
-        table[what, "error"] = _standard_error(numbers)
+    for quantity, numbers in values.items():
+        table[quantity, "mean"] = numbers.mean(axis=1)
+        table[quantity, "error"] = _standard_error(numbers)
     return pd.DataFrame(table, index=names)
 
 
@@ -96,19 +96,21 @@ def _standard_error(numbers: np.ndarray) -> np.ndarray:
 
 
 def follow(search: ppga.Search, iterations: int) -> tuple[ppga.Search, pd.DataFrame]:
-    """Go on for some QD iterations; a row for each: θ_μ's own measures m1, m2, … and c_0, c_1, … that it walked by.
+    """Run some QD iterations. A row for each: θ_μ's return, its measures m1, …, mk and its walk's weights c0, …, ck.
 
-    Row 0 is θ_μ before them, its coefficients not-a-number. ``restart`` is True where θ_μ jumped in the end.
+    Row 0 is θ_μ before the first iteration, without weights (not-a-number). ``restart`` is True if the iteration ended
+    in a restart, which moves θ_μ to an elite.
     """
-    rows = [{**_where(search, 0), "restart": False}]
+    rows = [{**_position(search, 0), "restart": False}]
     for i in range(iterations):
         search, info = ppga.iteration(search)
-        walked = {f"c{j}": float(c) for j, c in enumerate(info.coefficients)}
-        rows.append({**_where(search, i + 1), **walked, "restart": bool(info.restarts)})
+        weights = {f"c{j}": float(c) for j, c in enumerate(info.coefficients)}
+        rows.append({**_position(search, i + 1), **weights, "restart": bool(info.restarts)})
     return search, pd.DataFrame(rows).rename_axis("iteration")
 
 
-def _where(search: ppga.Search, seed: int) -> dict[str, float]:
-    trials = try_out(search, search_policy(search)[None], seed)
-    measures = {f"m{j + 1}": float(m) for j, m in enumerate(trials.measures[0].mean(axis=0))}
-    return {**measures, "return": float(trials.fitness.mean())}
+def _position(search: ppga.Search, seed: int) -> dict[str, float]:
+    """The measures and the return of θ_μ."""
+    scores = try_out(search, search_policy(search)[None], seed)
+    measures = {f"m{j + 1}": float(m) for j, m in enumerate(scores.measures[0].mean(axis=0))}
+    return {**measures, "return": float(scores.fitness.mean())}

@@ -8,13 +8,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from qdil.lab.lemma.results import ROUNDING, RobotTrial
 from qdil.plotting.colours import BLUE, GREEN, GREY, ORANGE, RED, method_colour, styles
 from qdil.plotting.ppga import coefficient_columns
 from qdil.plotting.style import label, styled
+from qdil.qd.cells import cell_index
 
-if TYPE_CHECKING:  # they bring JAX
-    from qdil.lab.lemma.robot import Trial
-    from qdil.lab.lemma.trials import Learning, Trials
+if TYPE_CHECKING:  # it brings JAX
+    from qdil.lab.lemma.trials import Improvements, Learning
 
 P = r"$P(m \in \mathcal{A}_e \mid \pi)$"
 
@@ -26,8 +27,6 @@ def episodes_on_archive(panels: Mapping[str, np.ndarray], occupied: np.ndarray) 
     ``panels`` has by title the probabilities (T+1, T+1) of the counts (i, j) of an episode of T steps; ``occupied``
     is (cells, cells). A dot's area is its probability; orange dots lie in empty cells.
     """
-    from qdil.qd.archive import EDGE
-
     figure = Figure(figsize=(3.9 * len(panels), 3.9))
     for ax, (title, chances) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         cells = len(occupied)
@@ -35,8 +34,8 @@ def episodes_on_archive(panels: Mapping[str, np.ndarray], occupied: np.ndarray) 
         edges = np.linspace(0, 1, cells + 1)
         ax.pcolormesh(edges, edges, np.where(occupied, 0.0, np.nan).T, cmap="Greys", vmin=-0.3, vmax=1.0)
         first, second = np.meshgrid(np.arange(steps + 1) / steps, np.arange(steps + 1) / steps, indexing="ij")
-        index = tuple(np.clip((cells * x + EDGE).astype(int), 0, cells - 1) for x in (first, second))
-        new = ~np.asarray(occupied)[index]
+        index = cell_index(np.stack([first, second], axis=-1), occupied.shape, np)
+        new = ~np.asarray(occupied)[tuple(np.moveaxis(index, -1, 0))]
         for chosen, colour in ((new, RED), (~new, "0.35")):
             area = 2500 * np.asarray(chances)[chosen]
             ax.scatter(first[chosen], second[chosen], s=area, color=colour, linewidths=0, clip_on=False, zorder=3)
@@ -49,10 +48,8 @@ def episodes_on_archive(panels: Mapping[str, np.ndarray], occupied: np.ndarray) 
 
 
 @styled
-def changes(trials: Mapping[str, "Trials"]) -> Figure:
+def changes(trials: Mapping[str, "Improvements"]) -> Figure:
     """Histograms of the change of P(m ∈ A_e | π), a panel per name, with the share of trials in which it fell."""
-    from qdil.lab.lemma.trials import ROUNDING
-
     figure = Figure(figsize=(3.5 * len(trials) + 0.5, 3.1))
     axes = figure.subplots(1, len(trials), sharey=True, squeeze=False)[0]
     widest = max(float(np.abs(several.change).max()) for several in trials.values()) or 1.0
@@ -75,7 +72,7 @@ def group_colours() -> dict[str, str]:
 
 
 @styled
-def assumption(trials: Mapping[str, "Trials"]) -> Figure:
+def assumption(trials: Mapping[str, "Improvements"]) -> Figure:
     """The change of P against the change of the objective, a dot per trial and a panel per name.
 
     The lemma is about the right half, where the objective rose; it says that trials there lie in the upper quadrant.
@@ -163,7 +160,7 @@ def learning(curves: Mapping[str, "Learning"]) -> Figure:
 
 
 @styled
-def robots(trials: Mapping[str, Sequence["Trial"]]) -> Figure:
+def robots(trials: Mapping[str, Sequence[RobotTrial]]) -> Figure:
     """P(m ∈ A_e | π) of robots before (hollow) and after (full), with 95 % intervals; a panel per robot."""
     from qdil.lab.lemma.robot import interval
 

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from ribs.archives import GridArchive
 
-# A measure this close below a grid line (in cells) counts as on it: wide enough for float32, on the host as on devices,
-# so that shares like 39/50 fall into the same cell everywhere (pyribs' own 1e-6 is too narrow for that).
-EDGE = 1e-4
+from qdil.qd.cells import EDGE
+
 EXTRA = ("true_return", "length", "obs_mean", "obs_std")  # what a result elite carries beyond pyribs' own fields
 
 

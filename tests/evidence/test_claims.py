@@ -12,11 +12,12 @@ import pytest
 from fake_runs import write_archive, write_arms, write_run
 
 from qdil import cli
-from qdil.config import ROBOTS, ConfigError
+from qdil.errors import ConfigError
 from qdil.evidence import claims, readings, report, verdicts
-from qdil.runs.experiments import folder_of
-from qdil.runs.studies import STUDIES, config_of
 from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, REPRODUCED
+from qdil.robots.register import PAPER_ROBOTS
+from qdil.runs.folder import folder_of
+from qdil.runs.studies import STUDIES, config_of
 
 ROOT = Path(claims.__file__).parent.parent.parent
 HIGH, LOW, MIXED = [110.0, 120.0, 130.0], [10.0, 20.0, 30.0], [5.0, 115.0, 200.0]
@@ -42,7 +43,7 @@ def test_claims_compare_experiments_that_the_studies_train():
 def test_nothing_was_run(tmp_path):
     judged = claims.judge(tmp_path)
     assert {v.verdict for v in judged} == {NO_RUNS}
-    assert {(v.claim.id, v.env) for v in judged} == {(c.id, env) for c in claims.CLAIMS for env in ROBOTS} | {
+    assert {(v.claim.id, v.env) for v in judged} == {(c.id, env) for c in claims.CLAIMS for env in PAPER_ROBOTS} | {
         ("C14", "mdp")
     }
     assert "There are no runs." in claims.markdown(judged, "laptop", tmp_path)
@@ -69,11 +70,11 @@ def test_beating_another_method(tmp_path, ours, reference, expected):
     assert found.findings[0].seeds == (len(ours), len(reference))
 
 
-def test_robots_are_judged_apart_and_those_beyond_the_claim_are_marked(tmp_path):
+def test_robots_are_judged_apart_and_those_without_a_claim_are_marked(tmp_path):
     write_arms(tmp_path, "halfcheetah", "average", {"mconbo-gail": HIGH, "gail": LOW})
     assert verdict_of(tmp_path, "C6").verdict == NO_RUNS
     found = verdict_of(tmp_path, "C6", "halfcheetah")
-    assert found.verdict == REPRODUCED and found.beyond
+    assert found.verdict == REPRODUCED and found.unclaimed
     assert report.overview([found]).loc["C6", "halfcheetah"] == "reproduced †"
 
 
@@ -102,8 +103,8 @@ def test_all_comparisons_of_a_claim_must_hold(tmp_path):
         write_run(tmp_path, "walker2d", "mconbo-gail", seed, qd_score=9.0 + seed, coverage=0.5, best=5.0, average=3.0)
         write_run(tmp_path, "walker2d", "mcond-gail", seed, qd_score=1.0 + seed, coverage=0.1, best=1.0, average=4.0)
     found = verdict_of(tmp_path, "C7")
-    said = {finding.part.reading: finding.verdict for finding in found.findings}
-    assert said == {"qd_score": REPRODUCED, "coverage": REPRODUCED, "best": REPRODUCED, "average": NOT_REPRODUCED}
+    status = {finding.part.reading: finding.verdict for finding in found.findings}
+    assert status == {"qd_score": REPRODUCED, "coverage": REPRODUCED, "best": REPRODUCED, "average": NOT_REPRODUCED}
     assert found.verdict == NOT_REPRODUCED
 
 
@@ -172,7 +173,7 @@ def test_the_lemma_is_judged_from_its_results_file(tmp_path):
         "mdp": REPRODUCED, "mdp-falls": INCONCLUSIVE, "halfcheetah": NO_RUNS, "walker2d": NOT_REPRODUCED,
         "humanoid": INCONCLUSIVE,
     }  # fmt: skip
-    assert [env for env, v in judged.items() if v.beyond] == ["mdp-falls"]
+    assert [env for env, v in judged.items() if v.unclaimed] == ["mdp-falls"]
     assert "* **Lemma 1**: `lemma.json`, made at unknown." in claims.markdown(list(judged.values()), "laptop", tmp_path)
     assert "mdp-falls" not in {v.env for v in claims.judge(tmp_path) if v.claim.id != "C14"}
     assert judged["mdp"].findings[0].means == pytest.approx((0.1,)) and judged["mdp"].findings[0].seeds == (3,)
@@ -290,9 +291,9 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert cli.main(["claims", "--results", str(tmp_path), "--env", "walker2d"]) == 0
     assert not (tmp_path / "claims.md").exists()
     assert cli.main(["claims", "--results", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "C1 walker2d: QD-score: MConbo-GAIL above GAIL: reproduced" in said
-    assert f"Wrote {tmp_path / 'claims.md'}." in said and (tmp_path / "claims.md").is_file()
+    printed = capsys.readouterr().out
+    assert "C1 walker2d: QD-score: MConbo-GAIL above GAIL: reproduced" in printed
+    assert f"Wrote {tmp_path / 'claims.md'}." in printed and (tmp_path / "claims.md").is_file()
 
 
 @pytest.mark.parametrize("arguments", [["--env", "cat"], ["--budget", "huge"]])

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from qdil.runs.folder import demos_path, folder_of
-from qdil.config import make_config
 from qdil.evidence import demonstrations
 from qdil.files import write_npz
+from qdil.runs.folder import demos_path, folder_of
 
 
 def recorded(lengths=(3, 5)):
@@ -41,7 +40,7 @@ def test_what_is_there_is_not_recorded_again(tmp_path):
 
 
 def test_an_expert_without_policies_gives_no_demonstrations(tmp_path):
-    folder = folder_of(make_config("walker2d", "true", "smoke"), tmp_path)
+    folder = folder_of("true", "walker2d", "smoke", 1, tmp_path)
     folder.mkdir(parents=True)
     for name in ("config.json", "manifest.json"):
         (folder / name).write_text("{}")

@@ -9,7 +9,7 @@ import pytest
 
 from qdil.evidence import paper
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def test_every_number_of_the_table_is_there():
@@ -21,8 +21,8 @@ def test_every_number_of_the_table_is_there():
 
 
 def test_what_is_returned_can_be_changed_without_harm():
-    mine = paper.numbers()
-    mine["value"] = 0.0
+    changed = paper.numbers()
+    changed["value"] = 0.0
     assert paper.value("walker2d", "gail", "best") == 4031
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats as scipy_stats
 
 from qdil.evidence import stats
 
@@ -32,6 +33,19 @@ def test_intervals_are_those_of_resampling_by_hand():
     draws = [rng.choice(ours, len(ours)).mean() - rng.choice(reference, len(reference)).mean() for _ in range(20_000)]
     found = stats.difference(ours, reference)
     assert found[1:] == pytest.approx(np.percentile(draws, [2.5, 97.5]), abs=0.03 * (found.high - found.low))
+
+
+@given(st.lists(ARM, min_size=1, max_size=3))
+def test_intervals_are_scipys(arms):
+    def statistic(*samples, axis):
+        return sum(factor * np.mean(sample, axis=axis) for factor, sample in enumerate(samples, start=1))
+
+    found = stats.contrast(arms, statistic, seed=3)
+    rng = np.random.default_rng(3)
+    theirs = scipy_stats.bootstrap(
+        arms, statistic, n_resamples=stats.RESAMPLES, method="percentile", vectorized=True, rng=rng
+    ).confidence_interval
+    assert found[1:] == pytest.approx((theirs.low, theirs.high))
 
 
 @given(ARM, ARM)
@@ -70,6 +84,8 @@ def test_identical_seeds_have_an_interval_without_width():
 def test_the_interquartile_mean_drops_a_quarter_from_either_end(values):
     cut = len(values) // 4
     assert stats.iqm(values) == pytest.approx(np.mean(sorted(values)[cut : len(values) - cut]))
+    columns = np.outer(values, [1.0, -2.0])
+    np.testing.assert_allclose(stats.iqm(columns, axis=0), scipy_stats.trim_mean(columns, 0.25, axis=0), atol=1e-12)
 
 
 def test_the_best_of_others_is_chosen_anew_in_every_resample():

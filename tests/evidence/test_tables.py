@@ -76,13 +76,13 @@ def test_what_the_paper_never_ran_says_so_and_a_single_seed_has_no_spread():
 def test_the_later_versions_table_is_what_the_file_says():
     with open(Path(paper.__file__).parent / "paper_numbers.csv", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["source"].startswith("later version")]
-    said = {(row["environment"], row["method"], row["metric"]): float(row["value"]) for row in rows}
+    published = {(row["environment"], row["method"], row["metric"]): float(row["value"]) for row in rows}
     table = tables.later_paper()
-    assert set(table.index) == {(env, method) for env, method, _ in said}
+    assert set(table.index) == {(env, method) for env, method, _ in published}
     for (env, method), row in table.iterrows():
-        assert row["coverage"] == f"{said[env, method, 'coverage_pct']:.1f}%"
-        assert row["QD-score"] == f"{said[env, method, 'qd_score']:,.0f}"
-        assert row["best"] == f"{said[env, method, 'best']:.0f}"
+        assert row["coverage"] == f"{published[env, method, 'coverage_pct']:.1f}%"
+        assert row["QD-score"] == f"{published[env, method, 'qd_score']:,.0f}"
+        assert row["best"] == f"{published[env, method, 'best']:.0f}"
     assert list(tables.later_paper(["walker2d"], ["gail"]).index) == [("walker2d", "gail")]
 
 

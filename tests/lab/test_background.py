@@ -129,7 +129,9 @@ def test_too_few_dimensions_are_refused(name, dim):
 def finished(name: str, seed: int, learning_rate: float = 0.01) -> algorithms.Result:
     """A run on the sphere, shared by the tests that only look."""
     problem = problems.sphere(DIM)
-    return algorithms.run(problem, name, ITERATIONS, seed, cells=CELLS, batch=BATCH, learning_rate=learning_rate)
+    return algorithms.run_algorithm(
+        problem, name, ITERATIONS, seed, cells=CELLS, batch=BATCH, learning_rate=learning_rate
+    )
 
 
 def last(column: str, name: str, learning_rate: float = 0.01) -> np.ndarray:
@@ -170,7 +172,7 @@ def cell_of(measures: np.ndarray, problem: Problem, cells: int) -> tuple[int, ..
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_archive_holds_the_best_of_all_evaluations(name):
     problem, batches = recording(problems.rastrigin(6))
-    result = algorithms.run(problem, name, 10, seed=4, cells=6, batch=8, emitters=2)
+    result = algorithms.run_algorithm(problem, name, 10, seed=4, cells=6, batch=8, emitters=2)
     best: dict[tuple[int, ...], float] = {}
     if name in SOFT:
         batches = batches[1:]  # before the search: is the start above threshold_min?
@@ -197,14 +199,14 @@ def replay(problem: Problem, batches: list[np.ndarray], cells: int, alpha: float
     ``floor`` -inf is the plain archive, whose threshold is the best objective and whose new cells improve upon 0.
     """
     thresholds: dict[tuple[int, ...], float] = {}
-    told = []
+    expected = []
     for batch in batches:
         accepted: dict[tuple[int, ...], list[float]] = {}
-        told.append([])
+        expected.append([])
         for f, m in zip(*problem.evaluate(batch), strict=True):
             here = cell_of(m, problem, cells)
             t = thresholds.get(here, floor)
-            told[-1].append((0 if f <= t else 1 if here in thresholds else 2, f - (t if np.isfinite(t) else 0)))
+            expected[-1].append((0 if f <= t else 1 if here in thresholds else 2, f - (t if np.isfinite(t) else 0)))
             if f > t:
                 accepted.setdefault(here, []).append(f)
         for here, values in accepted.items():
@@ -213,19 +215,19 @@ def replay(problem: Problem, batches: list[np.ndarray], cells: int, alpha: float
             thresholds[here] = (
                 max(values) if plain else kept * thresholds.get(here, floor) + (1 - kept) * np.mean(values)
             )
-    return told, thresholds
+    return expected, thresholds
 
 
 @pytest.mark.parametrize("name", SOFT)
 def test_the_searched_archive_follows_the_soft_threshold_rule(name):
     alpha, floor = 0.2, 10.0
     problem, batches = recording(problems.sphere(6))
-    result = algorithms.run(problem, name, 15, 1, cells=5, batch=12, learning_rate=alpha, threshold_min=floor)
-    told, thresholds = replay(problems.sphere(6), batches[1:], 5, alpha, floor)
+    result = algorithms.run_algorithm(problem, name, 15, 1, cells=5, batch=12, learning_rate=alpha, threshold_min=floor)
+    expected, thresholds = replay(problems.sphere(6), batches[1:], 5, alpha, floor)
     stored = result.searched.data(["index", "threshold"], return_type="dict")
     held = {divmod(int(i), 5): t for i, t in zip(stored["index"], stored["threshold"], strict=True)}
     assert held == pytest.approx(thresholds)
-    assert {status for batch in told for status, _ in batch} == {0, 1, 2}
+    assert {status for batch in expected for status, _ in batch} == {0, 1, 2}
 
 
 @pytest.mark.parametrize("name", DQD)
@@ -234,14 +236,14 @@ def test_the_point_moves_to_the_better_halfs_weighted_mean(name):
     # Objectives below 0, so that a new cell's improvement is often the smaller one.
     lowered = problems.arm(9)._replace(evaluate=lambda x: (-100 * np.var(x, axis=1), problems.arm(9).evaluate(x)[1]))
     problem, batches = recording(lowered)
-    algorithms.run(problem, name, 30, 3, cells=CELLS, batch=13, learning_rate=0.1, threshold_min=-50)
+    algorithms.run_algorithm(problem, name, 30, 3, cells=CELLS, batch=13, learning_rate=0.1, threshold_min=-50)
     batches = batches[-60:]  # θ and its branches in turn
-    told, _ = replay(lowered, batches, CELLS, 0.1, -50 if name in SOFT else -np.inf)
+    expected, _ = replay(lowered, batches, CELLS, 0.1, -50 if name in SOFT else -np.inf)
     weights = np.log(6.5) - np.log(np.arange(1, 7))
     weights /= weights.sum()
     moves, by_status = 0, 0
     for i in range(1, 59, 2):
-        status, value = np.array(told[i]).T
+        status, value = np.array(expected[i]).T
         plain = np.argsort(-value)
         ranking = plain if name in SOFT else np.lexsort((-value, -status))
         restarts = name not in SOFT and not status.any()
@@ -256,11 +258,11 @@ def test_cma_mes_mean_moves_to_what_entered_the_archive():
     # Improvement emitter of the CMA-ME paper: all that were added are parents, new cells before improved ones.
     lowered = problems.arm(9)._replace(evaluate=lambda x: (-100 * np.var(x, axis=1), problems.arm(9).evaluate(x)[1]))
     problem, batches = recording(lowered)
-    algorithms.run(problem, "cma-me", 5, 0, cells=40, batch=4000)
-    told, _ = replay(lowered, batches, 40, 1.0, -np.inf)
-    for now, after, ranked in zip(batches[1:], batches[2:], told[1:], strict=False):
+    algorithms.run_algorithm(problem, "cma-me", 5, 0, cells=40, batch=4000)
+    expected, _ = replay(lowered, batches, 40, 1.0, -np.inf)
+    for batch, after, ranked in zip(batches[1:], batches[2:], expected[1:], strict=False):
         status, value = np.array(ranked).T
-        parents = now[np.lexsort((-value, -status))[: np.count_nonzero(status)]]
+        parents = batch[np.lexsort((-value, -status))[: np.count_nonzero(status)]]
         weights = np.log(len(parents) + 0.5) - np.log(np.arange(1, len(parents) + 1))
         assert 10 < len(parents) < 1900
         chance = 5 * after.std(axis=0) / np.sqrt(len(after))  # of the mean of so many samples
@@ -275,7 +277,7 @@ def test_cma_me_starts_over_from_an_elite_when_nothing_improves():
         return -np.abs(x[:, 0]) - next(rounds), x[:, 1:3]
 
     problem, batches = recording(probe(sigma=0.01)._replace(evaluate=declining))
-    elite = algorithms.run(problem, "cma-me", 3, 0, cells=1, batch=400).archive.data("solution")[0]
+    elite = algorithms.run_algorithm(problem, "cma-me", 3, 0, cells=1, batch=400).archive.data("solution")[0]
     assert np.linalg.norm(elite - batches[1].mean(axis=0)) > 0.01
     np.testing.assert_allclose(batches[2].mean(axis=0), elite, atol=0.0025)
     assert batches[2].std(axis=0) == pytest.approx(0.01, rel=0.2)
@@ -288,7 +290,7 @@ def test_only_cma_mega_gives_up_a_point_that_improves_nothing(name):
         return 1 - np.square(x).sum(axis=1), x[:, 1:3]
 
     problem, batches = recording(probe()._replace(evaluate=hill))
-    algorithms.run(problem, name, 3, 0, cells=1, batch=9, learning_rate=1.0)
+    algorithms.run_algorithm(problem, name, 3, 0, cells=1, batch=9, learning_rate=1.0)
     points = np.concatenate(batches[-6::2])
     assert np.all(points[0] == 0)
     assert np.all(points[1:] == 0) == (name not in SOFT)
@@ -297,14 +299,16 @@ def test_only_cma_mega_gives_up_a_point_that_improves_nothing(name):
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_emitters_draw_apart(name):
     problem, batches = recording(probe())
-    algorithms.run(problem, name, 1, 0, batch=6, emitters=2)
+    algorithms.run_algorithm(problem, name, 1, 0, batch=6, emitters=2)
     one, two = np.split(batches[-1], 2)
     assert not np.any(np.all(one == two, axis=1))
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_seed_decides_everything(name):
-    first, again, other = (algorithms.run(problems.rastrigin(6), name, 8, seed, cells=CELLS) for seed in (7, 7, 8))
+    first, again, other = (
+        algorithms.run_algorithm(problems.rastrigin(6), name, 8, seed, cells=CELLS) for seed in (7, 7, 8)
+    )
     for column, values in first.history.items():
         np.testing.assert_array_equal(values, again.history[column])
     for field in ("solution", "objective", "measures", "index"):
@@ -323,7 +327,7 @@ def test_the_archive_never_gets_worse(name):
 
 def test_map_elites_puts_noise_on_earlier_elites():
     problem, batches = recording(probe(sigma=0.01))
-    algorithms.run(problem, "map-elites", 4, 0, batch=400)
+    algorithms.run_algorithm(problem, "map-elites", 4, 0, batch=400)
     assert batches[0].std(axis=0) == pytest.approx(1, rel=0.2)
     for i in (1, 2, 3):
         earlier = np.concatenate(batches[:i])
@@ -334,7 +338,7 @@ def test_map_elites_puts_noise_on_earlier_elites():
 
 def test_cma_me_starts_around_the_origin():
     problem, batches = recording(probe(sigma=0.01))
-    algorithms.run(problem, "cma-me", 1, 0, batch=400)
+    algorithms.run_algorithm(problem, "cma-me", 1, 0, batch=400)
     assert batches[0].std(axis=0) == pytest.approx(0.01, rel=0.2)
     assert np.abs(batches[0].mean(axis=0)).max() < 0.002
 
@@ -343,7 +347,7 @@ def test_cma_me_starts_around_the_origin():
 def test_the_first_branches_weigh_unit_gradients(name):
     # Steps of sigma_g along each gradient, however long it is, and none elsewhere.
     problem, batches = recording(probe(sigma_g=0.7))
-    algorithms.run(problem, name, 1, 0, batch=401)
+    algorithms.run_algorithm(problem, name, 1, 0, batch=401)
     theta, branches = batches[-2:]
     np.testing.assert_array_equal(theta, np.zeros((1, 5)))
     assert branches.shape == (400, 5)
@@ -355,7 +359,7 @@ def test_the_first_branches_weigh_unit_gradients(name):
 @pytest.mark.parametrize("name", DQD)
 def test_branches_span_the_gradients_at_their_point(name):
     problem, batches = recording(problems.arm(9))
-    algorithms.run(problem, name, 12, 2, cells=CELLS, batch=15)
+    algorithms.run_algorithm(problem, name, 12, 2, cells=CELLS, batch=15)
     batches = batches[-24:]  # θ and its branches in turn
     for theta, branches in zip(batches[::2], batches[1::2], strict=True):
         objective_grad, measure_grads = problem.gradients(theta)
@@ -415,7 +419,7 @@ def test_xnes_does_as_well_as_cma_es_and_not_the_same(pair):
 def test_an_unknown_algorithm_is_refused_by_name():
     untouched = probe()._replace(evaluate=None, gradients=None)  # nothing may be evaluated
     with pytest.raises(ValueError) as refusal:
-        algorithms.run(untouched, "cma-meg", 1, 0)
+        algorithms.run_algorithm(untouched, "cma-meg", 1, 0)
     assert "'cma-meg'" in str(refusal.value) and all(name in str(refusal.value) for name in ALGORITHMS)
 
 
@@ -434,12 +438,12 @@ def test_an_unknown_algorithm_is_refused_by_name():
 )
 def test_settings_that_cannot_be_are_refused(name, settings, words):
     with pytest.raises(ValueError, match=words):
-        algorithms.run(probe(), name, seed=0, **{"iterations": 2, **settings})
+        algorithms.run_algorithm(probe(), name, seed=0, **{"iterations": 2, **settings})
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_smallest_settings_work(name):
-    result = algorithms.run(probe(), name, 3, 0, cells=1, batch=3)
+    result = algorithms.run_algorithm(probe(), name, 3, 0, cells=1, batch=3)
     assert result.history["coverage"].tolist() == [1, 1, 1]
     assert result.history["best"][-1] == result.history["qd_score"][-1] >= 1
 

@@ -1,4 +1,4 @@
-"""The background's tools: soft thresholds against pyribs, noise and its judge, strategies alone, tables over seeds."""
+"""The background's tools: soft thresholds against pyribs, noise and true values, strategies, tables over seeds."""
 
 import numpy as np
 import pytest
@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 from ribs.archives import GridArchive
 
 from qdil.lab.background import compare, noise, problems, soft, strategies
-from qdil.lab.background.algorithms import metrics, run
-from qdil.lab.background.compare import Case, Size
+from qdil.lab.background.algorithms import metrics, run_algorithm
+from qdil.lab.background.compare import Case, ExperimentSize
 from qdil.plotting import background as plotting
 
-TINY = Size(dim=4, cells=5, iterations=6, learning_rate=0.1, seeds=(3, 4))
+TINY = ExperimentSize(dim=4, cells=5, iterations=6, learning_rate=0.1, seeds=(3, 4))
 
 
 @given(
@@ -22,10 +22,10 @@ TINY = Size(dim=4, cells=5, iterations=6, learning_rate=0.1, seeds=(3, 4))
 )
 def test_one_cell_does_as_pyribs_does(objectives, alpha, floor):
     archive = GridArchive(solution_dim=1, dims=[1], ranges=[(0, 1)], learning_rate=alpha, threshold_min=floor)
-    told = [archive.add_single(np.zeros(1), f, np.zeros(1)) for f in objectives]
+    added = [archive.add_single(np.zeros(1), f, np.zeros(1)) for f in objectives]
     visits = soft.visit(objectives, alpha, floor)
-    accepted = np.array([row["status"] > 0 for row in told])
-    np.testing.assert_allclose(visits.improvement, np.where(accepted, [row["value"] for row in told], 0), atol=1e-9)
+    accepted = np.array([row["status"] > 0 for row in added])
+    np.testing.assert_allclose(visits.improvement, np.where(accepted, [row["value"] for row in added], 0), atol=1e-9)
     if accepted.any():
         assert visits.after[-1] == pytest.approx(archive.data("threshold")[0], abs=1e-9)
     np.testing.assert_array_equal(visits.before[1:], visits.after[:-1])
@@ -42,36 +42,36 @@ def test_thresholds_by_hand():
 
 def test_noise_has_the_deviations_asked_for_and_leaves_gradients_alone():
     problem = problems.sphere(6)
-    told = noise.noisy(problem, objective_sd=3.0, measure_sd=0.02, seed=0)
+    noisy = noise.noisy(problem, objective_sd=3.0, measure_sd=0.02, seed=0)
     x = np.zeros((4000, 6))
-    objective, measures = told.evaluate(x)
+    objective, measures = noisy.evaluate(x)
     exact, where = problem.evaluate(x)
     width = 6 * problems.LIMIT  # of a measure's range: three coordinates, from -LIMIT to LIMIT each
     assert (objective - exact).std() == pytest.approx(3.0, rel=0.05)
     assert (measures - where).std(axis=0) == pytest.approx(0.02 * width, rel=0.05)
     assert abs((objective - exact).mean()) < 0.2
-    for said, true in zip(told.gradients(x[:2] + 1), problem.gradients(x[:2] + 1), strict=True):
-        np.testing.assert_array_equal(said, true)
+    for given_, true in zip(noisy.gradients(x[:2] + 1), problem.gradients(x[:2] + 1), strict=True):
+        np.testing.assert_array_equal(given_, true)
     edge = noise.noisy(problem, 0.0, 5.0, seed=0).evaluate(x)[1]
     assert np.abs(edge).max() <= width / 2
 
 
-def test_a_judged_archive_holds_elites_where_they_belong():
+def test_a_rescored_archive_holds_elites_in_their_true_cells():
     problem = problems.sphere(2)  # with two coordinates the measures are the coordinates
     archive = GridArchive(solution_dim=2, dims=[2, 2], ranges=problem.measure_ranges)
     solutions = np.array([[1.0, 1.0], [2.0, 2.0], [-1.0, 1.0]])
-    archive.add(solutions, [500.0, 90.0, 80.0], [[1, 1], [-1, -1], [-1, 1]])  # the second in a foreign cell
-    home = noise.judged(problem, archive)
+    archive.add(solutions, [500.0, 90.0, 80.0], [[1, 1], [-1, -1], [-1, 1]])  # the second in a wrong cell
+    home = noise.rescored(problem, archive)
     exact = problem.evaluate(solutions)[0]
     assert len(archive) == 3 and len(home) == 2
     assert sorted(home.data("objective")) == pytest.approx(sorted([exact[1], exact[2]]))
-    assert len(noise.judged(problem, GridArchive(solution_dim=2, dims=[2, 2], ranges=problem.measure_ranges))) == 0
+    assert len(noise.rescored(problem, GridArchive(solution_dim=2, dims=[2, 2], ranges=problem.measure_ranges))) == 0
 
 
-def test_judging_an_exact_archive_changes_nothing():
+def test_rescoring_an_exact_archive_changes_nothing():
     problem = problems.rastrigin(6)
-    archive = run(problem, "cma-mega", 10, seed=0, cells=6, batch=10).archive
-    assert metrics(noise.judged(problem, archive)) == pytest.approx(metrics(archive))
+    archive = run_algorithm(problem, "cma-mega", 10, seed=0, cells=6, batch=10).archive
+    assert metrics(noise.rescored(problem, archive)) == pytest.approx(metrics(archive))
 
 
 @pytest.mark.parametrize("name", strategies.STRATEGIES)
@@ -108,7 +108,7 @@ def test_an_unknown_strategy_is_refused():
 def test_runs_differ_by_seed_alone_and_the_table_tells_their_range():
     problem = problems.sphere(TINY.dim)
     results = {name: compare.repeat(problem, name, TINY) for name in ("map-elites", "cma-maega")}
-    again = run(problem, "cma-maega", TINY.iterations, seed=4, cells=TINY.cells, learning_rate=0.1)
+    again = run_algorithm(problem, "cma-maega", TINY.iterations, seed=4, cells=TINY.cells, learning_rate=0.1)
     np.testing.assert_array_equal(results["cma-maega"][1].history["qd_score"], again.history["qd_score"])
     final = compare.ends(results)
     assert list(final["label"]) == ["map-elites"] * 2 + ["cma-maega"] * 2

@@ -46,8 +46,8 @@ def test_the_bonus_finds_more_cells_and_stays_less_in_one():
 def test_reward_is_log_of_one_plus_the_density_of_demonstrations():
     at, experts, width = np.linspace(0, 1, 7), np.array([0.2, 0.9]), 0.1
     density = np.mean([truncnorm.pdf(at, -e / width, (1 - e) / width, e, width) for e in experts], axis=0)
-    said = concepts.discriminator_reward(at, experts, np.array([0.5, 0.5]), width, sees_details=False)
-    np.testing.assert_allclose(said, np.log1p(density), rtol=1e-3)
+    reward = concepts.discriminator_reward(at, experts, np.array([0.5, 0.5]), width, sees_details=False)
+    np.testing.assert_allclose(reward, np.log1p(density), rtol=1e-3)
 
 
 def test_a_discriminator_blind_to_details_never_pays_less_on_average():

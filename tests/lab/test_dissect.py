@@ -8,12 +8,13 @@ from scipy import stats
 
 from qdil import ppga
 from qdil.config import make_config
-from qdil.plotting import ppga as pictures
-from qdil.rl.evaluate import Policies
-from qdil.qd.xnes import XNES, utilities
 from qdil.lab import dissect
+from qdil.plotting import ppga as pictures
+from qdil.qd.xnes import XNES, utilities
+from qdil.rl.evaluate import Policies
 
 FEET = ("foot", "foot_left")
+physics = pytest.mark.physics
 
 
 @pytest.fixture(scope="module")
@@ -21,12 +22,16 @@ def search():
     return dissect.warmed(make_config("walker2d", "true", "smoke"), 3)
 
 
+@physics
 def test_a_warmed_search_has_seen_its_updates_and_no_iteration(search):
     config = search.config
-    assert float(search.state.stats.seen) == pytest.approx(3 * config.ppo.rollout_length * config.ppo.num_envs, rel=1e-3)
+    assert float(search.state.stats.seen) == pytest.approx(
+        3 * config.ppo.rollout_length * config.ppo.num_envs, rel=1e-3
+    )
     assert search.archives.result.empty
 
 
+@physics
 def test_policies_are_tried_out_side_by_side_as_candidates_are(search):
     theta = dissect.search_policy(search)
     policies = np.stack([theta, np.zeros_like(theta), theta + 0.5])
@@ -40,6 +45,7 @@ def test_policies_are_tried_out_side_by_side_as_candidates_are(search):
     np.testing.assert_array_equal(trials.measures.reshape(6, 2), direct.measures[:6])
 
 
+@physics
 def test_a_search_policy_is_followed_to_where_it_is(search):
     begun = dissect.warmed(search.config, 2)
     after, followed = dissect.follow(begun, 2)
@@ -49,6 +55,7 @@ def test_a_search_policy_is_followed_to_where_it_is(search):
     assert followed[["m1", "m2"]].iloc[2].tolist() == pytest.approx(last.measures[0].mean(axis=0).tolist())
 
 
+@physics
 def test_an_episode_of_the_search_policy_is_whole_and_changes_nothing(search):
     before = jax.random.key_data(search.state.key)
     proxy = dissect.episode(search)
@@ -67,12 +74,12 @@ def test_a_whole_episode_lies_between_two_ends():
 
 def test_comparison_gives_means_and_standard_errors():
     rng = np.random.default_rng(0)
-    trials = dissect.Trials(rng.normal(size=(2, 5)), rng.random((2, 5, 2)))
+    trials = dissect.RepeatedScores(rng.normal(size=(2, 5)), rng.random((2, 5, 2)))
     table = dissect.compare(trials, ["a", "b"], FEET)
     np.testing.assert_allclose(table["return", "error"], stats.sem(trials.fitness, axis=1))
     np.testing.assert_allclose(table["foot_left down", "mean"], trials.measures[:, :, 1].mean(axis=1))
     assert (
-        dissect.compare(dissect.Trials(rng.normal(size=(2, 1)), rng.random((2, 1, 2))), ["a", "b"], FEET)[
+        dissect.compare(dissect.RepeatedScores(rng.normal(size=(2, 1)), rng.random((2, 1, 2))), ["a", "b"], FEET)[
             "return", "error"
         ]
         .isna()

@@ -12,36 +12,38 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qdil.config import ConfigError
-from qdil.lab.lemma import mdp, ppo, record, robot, trials
+from qdil.errors import ConfigError
+from qdil.lab.lemma import mdp, missing, ppo, results, robot, trials
 from qdil.lab.lemma.mdp import Mdp
-from qdil.lab.lemma.ppo import Settings
-from qdil.lab.lemma.robot import Trial
-from qdil.lab.lemma.trials import Trials
+from qdil.lab.lemma.ppo import TabularPPO
+from qdil.lab.lemma.results import RobotTrial
+from qdil.lab.lemma.trials import Improvements
 from qdil.plotting import lemma as pictures
 
 STATES, ACTIONS, HORIZON, CELLS, GAMMA = 3, 2, 4, 3, 0.9
+# Every program of many trials takes seconds to compile, so the tests share one number of problems and two of episodes.
+PROBLEMS, FEW, MANY = 60, TabularPPO(episodes=8), TabularPPO(episodes=64)
 WEIGHT = (1 - GAMMA**HORIZON) / (1 - GAMMA)
-SMALL = Settings(horizon=HORIZON, episodes=16, minibatches=2, epochs=2)
+SMALL = TabularPPO(horizon=HORIZON, episodes=16, minibatches=2, epochs=2)
 
 
-def drawn(seed: int, falls: float) -> tuple[Mdp, np.ndarray, np.ndarray]:
-    """A random problem in double precision: MDP with random proxies, logits, occupied cells."""
+def drawn(seed: int, falls: float, k: int = 2) -> tuple[Mdp, np.ndarray, np.ndarray]:
+    """A random problem of k measures in double precision: MDP with random proxies, logits, occupied cells."""
     rng = np.random.default_rng(seed)
     world = Mdp(
         jnp.asarray(rng.dirichlet(np.ones(STATES))),
         jnp.asarray(rng.dirichlet(np.ones(STATES), (STATES, ACTIONS))),
         jnp.asarray(falls * rng.random((STATES, ACTIONS))),
-        jnp.asarray(rng.integers(0, 2, (STATES, 2)), jnp.int32),
+        jnp.asarray(rng.integers(0, 2, (STATES, k)), jnp.int32),
     )
-    return world, jnp.asarray(rng.normal(size=(STATES, ACTIONS))), rng.random((CELLS, CELLS)) < 0.5
+    return world, jnp.asarray(rng.normal(size=(STATES, ACTIONS))), rng.random((CELLS,) * k) < 0.5
 
 
-def enumerated(world: Mdp, theta: np.ndarray, horizon: int = HORIZON) -> dict[tuple[int, int, int], float]:
-    """Probability of every (length, count of foot 1, count of foot 2), trajectory by trajectory."""
+def enumerated(world: Mdp, theta: np.ndarray, horizon: int = HORIZON) -> dict[tuple[int, ...], float]:
+    """Probability of every (length, count of foot 1, count of foot 2, …), trajectory by trajectory."""
     start, step, fall, proxy = (np.asarray(x, float) for x in world)
     policy = np.exp(theta) / np.exp(theta).sum(axis=1, keepdims=True)
-    total: dict[tuple[int, int, int], float] = defaultdict(float)
+    total: dict[tuple[int, ...], float] = defaultdict(float)
     for length in range(1, horizon + 1):
         for states in itertools.product(range(len(start)), repeat=length):
             for actions in itertools.product(range(policy.shape[1]), repeat=length):
@@ -53,38 +55,38 @@ def enumerated(world: Mdp, theta: np.ndarray, horizon: int = HORIZON) -> dict[tu
                 if length < horizon:
                     chance *= fall[states[-1], actions[-1]]
                 counts = proxy[list(states)].sum(axis=0).astype(int)
-                total[length, int(counts[0]), int(counts[1])] += chance
+                total[length, *counts.tolist()] += chance
     return total
 
 
-def empty(occupied: np.ndarray, length: int, first: int, second: int) -> bool:
+def empty(occupied: np.ndarray, length: int, *counts: int) -> bool:
     """m ∈ A_e in whole numbers."""
     cells = len(occupied)
-    return not occupied[min(cells * first // length, cells - 1), min(cells * second // length, cells - 1)]
+    return not occupied[tuple(min(cells * count // length, cells - 1) for count in counts)]
 
 
 # Dynamic programming
 
 
-@pytest.mark.parametrize("falls", [0.0, 0.6])
+@pytest.mark.parametrize("k, falls", [(1, 0.6), (2, 0.0), (2, 0.6), (3, 0.6)])
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=8)
-def test_probabilities_are_those_of_all_trajectories(seed, falls):
-    world, theta, occupied = drawn(seed, falls)
+@settings(max_examples=5)
+def test_probabilities_are_those_of_all_trajectories(k, falls, seed):
+    world, theta, occupied = drawn(seed, falls, k)
     expected = enumerated(world, np.asarray(theta))
-    told = np.asarray(mdp.outcomes(world, theta, HORIZON), float)
-    assert told.sum() == pytest.approx(1, abs=1e-5)
-    for (length, first, second), chance in expected.items():
-        assert told[length - 1, first, second] == pytest.approx(chance, abs=1e-5)
+    computed = np.asarray(mdp.outcomes(world, theta, HORIZON), float)
+    assert computed.sum() == pytest.approx(1, abs=1e-5)
+    for (length, *counts), chance in expected.items():
+        assert computed[length - 1, *counts] == pytest.approx(chance, abs=1e-5)
     found = sum(chance for outcome, chance in expected.items() if empty(occupied, *outcome))
     grid = jnp.asarray(occupied)
     assert float(mdp.probability(world, theta, grid, HORIZON)) == pytest.approx(found, abs=1e-5)
     for p, q in ((0.0, 1.0), (0.5, 0.25)):
-        paid = sum(
+        discounted = sum(
             chance * (p + q * empty(occupied, *outcome)) * sum(GAMMA**t for t in range(outcome[0]))
             for outcome, chance in expected.items()
         )
-        assert float(mdp.bonus_return(world, theta, grid, HORIZON, GAMMA, p, q)) == pytest.approx(paid, abs=1e-4)
+        assert float(mdp.bonus_return(world, theta, grid, HORIZON, GAMMA, p, q)) == pytest.approx(discounted, abs=1e-4)
     steps = sum(chance * outcome[0] for outcome, chance in expected.items())
     assert float(mdp.mean_length(world, theta, HORIZON)) == pytest.approx(steps, abs=1e-4)
 
@@ -158,6 +160,8 @@ def test_random_worlds_have_every_contact_pattern_and_fall_only_if_asked():
     world = mdp.random_mdp(jax.random.key(0))
     assert {tuple(row) for row in np.asarray(world.proxy).tolist()} == {(0, 0), (0, 1), (1, 0), (1, 1)}
     np.testing.assert_allclose(np.asarray(world.step).sum(axis=-1), 1, atol=1e-5)
+    patterns = {tuple(row) for row in np.asarray(mdp.random_mdp(jax.random.key(0), k=3).proxy).tolist()}
+    assert patterns == set(itertools.product((0, 1), repeat=3))
     assert not world.fall.any() and 0 < mdp.random_mdp(jax.random.key(0), falls=0.3).fall.max() <= 0.3
 
 
@@ -168,7 +172,7 @@ def test_advantages_by_hand():
     world, theta, occupied = drawn(3, 0.6)
     seen = mdp.sample(jax.random.key(1), world, theta, HORIZON, 16)
     given_ = SMALL._replace(gamma=GAMMA, lam=0.7, p=0.25, q=1.0)
-    told = np.asarray(ppo._advantages(seen, jnp.asarray(occupied), given_, STATES))
+    advantages = np.asarray(ppo._advantages(seen, jnp.asarray(occupied), given_, STATES))
     state, length = np.asarray(seen.state), np.asarray(seen.length)
     counts = np.rint(np.asarray(seen.measures) * length[:, None]).astype(int)
     reward = np.array([0.25 + empty(occupied, int(n), *c) for n, c in zip(length, counts.tolist(), strict=True)])
@@ -182,7 +186,7 @@ def test_advantages_by_hand():
         for t in reversed(range(length[n])):
             after = critic[state[t + 1, n]] if t + 1 < length[n] else 0.0
             advantage = reward[n] + GAMMA * after - critic[state[t, n]] + GAMMA * 0.7 * advantage
-            assert told[t, n] == pytest.approx(advantage, abs=1e-4)
+            assert advantages[t, n] == pytest.approx(advantage, abs=1e-4)
 
 
 def test_nothing_is_learned_where_nothing_can_be_found():
@@ -192,9 +196,9 @@ def test_nothing_is_learned_where_nothing_can_be_found():
 
 
 def test_one_iteration_improves_most_problems_and_more_episodes_improve_more_of_them():
-    few, many = (trials.by_ppo(0, 100, Settings(episodes=n)).change for n in (8, 256))
-    assert np.mean(many < 0) < 0.2 < np.mean(few < 0)
-    assert many.mean() > 0
+    few, many = (trials.by_ppo(0, PROBLEMS, settings_).change for settings_ in (FEW, MANY))
+    assert np.mean(many < 0) < 0.3 < np.mean(few < 0)
+    assert many.mean() > 3 * few.mean() > 0
 
 
 def test_many_iterations_find_a_way_that_is_certain():
@@ -202,7 +206,7 @@ def test_many_iterations_find_a_way_that_is_certain():
     step = jnp.tile(jnp.eye(2)[None], (2, 1, 1))
     world = Mdp(jnp.array([0.0, 1.0]), step, jnp.zeros((2, 2)), jnp.array([[0, 0], [1, 0]], jnp.int32))
     occupied = jnp.zeros((5, 5), bool).at[:4].set(True)
-    theta, chosen = jnp.zeros((2, 2)), Settings(horizon=6, episodes=64, learning_rate=0.1)
+    theta, chosen = jnp.zeros((2, 2)), TabularPPO(horizon=6, episodes=64, learning_rate=0.1)
     assert float(mdp.probability(world, theta, occupied, 6)) == pytest.approx((1 / 2) ** 5 * 6, abs=1e-5)
     improve = jax.jit(lambda key, theta: ppo.improve(key, world, theta, occupied, chosen))
     for update in range(60):
@@ -230,61 +234,62 @@ def test_minibatches_that_do_not_divide_are_refused():
 
 
 def test_where_lengths_are_equal_objective_and_probability_never_disagree_and_else_they_do():
-    equal, early = (trials.by_ppo(1, 100, Settings(episodes=32), falls) for falls in (0.0, 0.5))
+    equal, early = (trials.by_ppo(1, PROBLEMS, FEW, falls) for falls in (0.0, 0.5))
     assert {0, 1} == set(trials.group(equal))
     assert {0, 1, 2} <= set(trials.group(early))
-    exact = trials.by_gradient(1, 100, 0.01, Settings(), 0.5)
+    exact = trials.by_gradient(1, PROBLEMS, 0.01, FEW, 0.5)
     assert exact.objective_change.min() > 0 > exact.change.min()
     weight = (1 - 0.99**12) / (1 - 0.99)
     np.testing.assert_allclose(equal.objective_change, weight * equal.change, atol=1e-6)
 
 
 def test_fuller_archives_are_harder_to_find_empty_cells_of():
-    half, full = (trials.problems(1, 100, 0.0, filled) for filled in (0.5, 0.9))
-    np.testing.assert_array_equal(trials.problems(1, 100, 0.0).occupied, half.occupied)
+    half, full = (trials.problems(1, PROBLEMS, 0.0, filled) for filled in (0.5, 0.9))
+    np.testing.assert_array_equal(trials.problems(1, PROBLEMS, 0.0).occupied, half.occupied)
     for drawn_, share in ((half, 0.5), (full, 0.9)):
         assert np.mean(drawn_.occupied) == pytest.approx(share, abs=0.05)
-    few = trials.by_ppo(1, 100, Settings(episodes=32), filled=0.9)
-    np.testing.assert_array_equal(few.probability_old, trials.values(full, full.theta, Settings())[0])
+    few = trials.by_ppo(1, PROBLEMS, FEW, filled=0.9)
+    np.testing.assert_array_equal(few.probability_old, trials.values(full, full.theta, FEW)[0])
 
 
 def test_trials_are_named_by_what_rose():
-    several = Trials(*np.array([[0.5, 0.5, 0.5, 0.5, 0.5], [0.5, 0.4, 0.4, 0.6, 0.7], [1.0] * 5, [1, 0, 2, 0, 1.5]]))
+    several = Improvements(
+        *np.array([[0.5, 0.5, 0.5, 0.5, 0.5], [0.5, 0.4, 0.4, 0.6, 0.7], [1.0] * 5, [1, 0, 2, 0, 1.5]])
+    )
     assert trials.group(several).tolist() == [0, 1, 2, 3, 0]
     tally = trials.tally(several)
     assert tally[list(trials.GROUPS)].tolist() == [40, 20, 20, 20]
     assert tally["median change of P"] == pytest.approx(0)
     np.testing.assert_allclose(several.posterior, [0.5, 4 / 9, 4 / 9, 6 / 11, 7 / 12])
-    assert Trials(*np.zeros((4, 1))).posterior.tolist() == [0.5]
+    assert Improvements(*np.zeros((4, 1))).posterior.tolist() == [0.5]
 
 
 def test_counting_episodes_agrees_with_the_exact_values():
-    settings_ = Settings()
-    problems = trials.problems(2, 60, 0.5)
-    exact, _, length = trials.values(problems, problems.theta, settings_)
-    counted = trials.by_counting(problems, problems.theta, settings_, seed=0, episodes=1000)
+    problems = trials.problems(2, PROBLEMS, 0.5)
+    exact, _, length = trials.values(problems, problems.theta, FEW)
+    counted = trials.by_counting(problems, problems.theta, FEW, seed=0, episodes=1000)
     z = (counted - exact) / np.sqrt(np.maximum(exact * (1 - exact), 1e-6) / 1000)
     assert np.abs(z).max() < 4.5 and 0.7 < np.std(z) < 1.4
     assert np.all((1 <= length) & (length < 12))
 
 
 def test_bayes_rule_says_what_coin_flips_count():
-    table = trials.bayes_by_sampling(1, 60, 2, 1000, Settings(episodes=32, learning_rate=0.3))
+    table = trials.bayes_by_sampling(1, PROBLEMS, 2, 1000, MANY._replace(learning_rate=0.3))
     share = table["by_new"] / table["landed"]
     z = (share - table["exact"]) / np.sqrt(table["exact"] * (1 - table["exact"]) / table["landed"])
     assert np.abs(z).max() < 4.5 and np.std(z) < 1.4
     assert table["exact"].min() < 0.5 < table["exact"].max()
 
 
-def test_learning_starts_at_the_old_policy_and_survival_pay_lengthens_episodes():
-    paid = Settings(p=1.0, q=0.0, learning_rate=0.1)
-    learned = trials.learning(1, 60, 3, paid, falls=0.5)
-    problems = trials.problems(1, 60, 0.5)
-    chance, _, length = trials.values(problems, problems.theta, paid)
+def test_learning_starts_at_the_old_policy_and_a_reward_for_survival_lengthens_episodes():
+    survival = MANY._replace(p=1.0, q=0.0, learning_rate=0.1)
+    learned = trials.learning(1, PROBLEMS, 3, survival, falls=0.5)
+    problems = trials.problems(1, PROBLEMS, 0.5)
+    chance, _, length = trials.values(problems, problems.theta, survival)
     np.testing.assert_array_equal(learned.probability[0], chance)
     np.testing.assert_array_equal(learned.length[0], length)
-    np.testing.assert_array_equal(learned.length[-1], trials.values(problems, learned.theta, paid)[2])
-    assert learned.probability.shape == (4, 60)
+    np.testing.assert_array_equal(learned.length[-1], trials.values(problems, learned.theta, survival)[2])
+    assert learned.probability.shape == (4, PROBLEMS)
     assert np.mean(learned.length[-1] > learned.length[0]) > 0.9
 
 
@@ -313,57 +318,63 @@ def test_intervals_of_extreme_counts():
     assert robot.interval(20, 20) == pytest.approx((0.025 ** (1 / 20), 1))
 
 
-TRIALS = [Trial(1, 0.5, 10, 4, 7, 40.0, 80.0, 100.0, 110.0), Trial(2, 0.9, 10, 1, 0, 9.0, 0.0, 90.0, 95.0)]
+TRIALS = [RobotTrial(1, 0.5, 10, 4, 7, 40.0, 80.0, 100.0, 110.0), RobotTrial(2, 0.9, 10, 1, 0, 9.0, 0.0, 90.0, 95.0)]
 
 
 def test_the_file_keeps_what_it_has_and_adds_what_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(missing.PROBLEMS, "smoke", PROBLEMS)
     asked = []
 
-    def run(env, budget, say, size):
+    def run(env, budget, report, effort):
         asked.append(env)
         return TRIALS
 
-    monkeypatch.setattr(robot, "run", run)
-    assert record.read("smoke", tmp_path) == {}
-    written = record.write("walker2d", "smoke", tmp_path)
+    monkeypatch.setattr(robot, "run_trials", run)
+    assert results.read("smoke", tmp_path) == {}
+    written = missing.compute_missing("walker2d", "smoke", tmp_path, settings=MANY)
     assert list(written) == ["mdp", "mdp-falls", "walker2d"]
-    direct = trials.by_ppo(record.SEED, record.PROBLEMS["smoke"], Settings())
+    direct = trials.by_ppo(missing.SEED, PROBLEMS, MANY)
     np.testing.assert_allclose(written["mdp"]["change"], direct.change, rtol=1e-5)
     assert written["walker2d"]["change"] == pytest.approx([0.3, -0.1])
-    assert written["walker2d"]["updates"] == robot.SIZES["smoke"].updates
-    assert record.trials_of(written["walker2d"]) == TRIALS
+    assert written["walker2d"]["updates"] == robot.EFFORTS["smoke"].updates
+    assert results.trials_of(written["walker2d"]) == TRIALS
     stamp = (tmp_path / "smoke" / "lemma.json").read_bytes()
     assert (
-        record.write("walker2d", "smoke", tmp_path)
-        == record.read("smoke", tmp_path)
+        missing.compute_missing("walker2d", "smoke", tmp_path)
+        == results.read("smoke", tmp_path)
         == json.loads(stamp)["environments"]
     )
     assert (tmp_path / "smoke" / "lemma.json").read_bytes() == stamp and asked == ["walker2d"]
-    both = record.write("halfcheetah", "smoke", tmp_path)
+    both = missing.compute_missing("halfcheetah", "smoke", tmp_path)
     assert list(both)[-1] == "halfcheetah" and both["mdp"] == written["mdp"] and asked == ["walker2d", "halfcheetah"]
 
 
-def test_changes_are_told_by_seed_and_with_what_was_done():
+def test_changes_are_means_by_seed_with_the_number_of_updates():
     several = {"seed": [1, 1, 3], "change": [0.4, 0.2, -0.1]}
-    assert record.changes(several | {"updates": 15}) == ("15 PPO updates", [0.4, 0.2, -0.1], pytest.approx([0.3, -0.1]))
-    assert record.changes(several).done == "some PPO updates"
-    assert record.changes({"change": [0.5]}) == ("one PPO update", [0.5], [0.5])
+    assert results.changes(several | {"updates": 15}) == (
+        "15 PPO updates",
+        [0.4, 0.2, -0.1],
+        pytest.approx([0.3, -0.1]),
+    )
+    assert results.changes(several).improvement == "some PPO updates"
+    assert results.changes({"change": [0.5]}) == ("one PPO update", [0.5], [0.5])
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):
-    path = record.path_of("smoke", tmp_path)
+    path = results.path_of("smoke", tmp_path)
     path.parent.mkdir()
     path.write_text("[]")
     with pytest.raises(ConfigError, match="lemma.json is no results file"):
-        record.read("smoke", tmp_path)
+        results.read("smoke", tmp_path)
 
 
 @pytest.mark.slow
+@pytest.mark.physics
 def test_a_robot_is_tried_from_a_policy_that_stays_the_same():
-    size = robot.Size(seeds=1, warmup=1, known=(0.5,), updates=1, rounds=1)
-    told: list[str] = []
-    first, again = (robot.run("walker2d", "smoke", told.append, size) for _ in range(2))
-    assert first == again and len(first) == 1 and len(told) == 2
+    effort = robot.Effort(seeds=1, warmup=1, known=(0.5,), updates=1, rounds=1)
+    lines: list[str] = []
+    first, again = (robot.run_trials("walker2d", "smoke", lines.append, effort) for _ in range(2))
+    assert first == again and len(first) == 1 and len(lines) == 2
     assert 0 <= first[0].found_old <= first[0].episodes == 24
     assert 1 <= first[0].length_old <= 50 and first[0].return_old <= first[0].length_old
 
@@ -372,14 +383,15 @@ def test_a_robot_is_tried_from_a_policy_that_stays_the_same():
 
 
 def test_pictures_of_many_trials_show_shares_and_values():
-    several = trials.by_ppo(1, 100, Settings(episodes=32), 0.5)
-    fell = 100 * np.mean(several.change < -trials.ROUNDING)
+    several = trials.by_ppo(1, PROBLEMS, FEW, 0.5)
+    fallen = np.count_nonzero(several.change < -trials.ROUNDING)
+    fell = 100 * fallen / PROBLEMS
     drawn = pictures.changes({"early ends": several})
-    assert drawn.axes[0].get_title() == f"early ends\nfell in {fell:.1f} % of 100"
-    assert sum(bar.get_height() for bar in drawn.axes[0].patches[:60]) == pytest.approx(fell)  # stacked: fallen first
+    assert drawn.axes[0].get_title() == f"early ends\nfell in {fell:.1f} % of {PROBLEMS}"
+    assert sum(bar.get_height() for bar in drawn.axes[0].patches[:60]) == fallen  # 60 bins, stacked: fallen first
     clouds = pictures.assumption({"early ends": several}).axes[0].collections
     assert [len(cloud.get_offsets()) for cloud in clouds] == np.bincount(trials.group(several), minlength=4).tolist()
-    table = pd.DataFrame({32: trials.tally(several)}).T
+    table = pd.DataFrame({8: trials.tally(several)}).T
     bars = pictures.fallen({"episodes": table}).axes[0].patches
     assert sum(bar.get_height() for bar in bars) == pytest.approx(fell)
 
@@ -410,8 +422,8 @@ def test_coefficients_are_shares_and_cells_are_counted_once():
 
 
 def test_the_other_pictures_can_be_drawn():
-    who = trials.bayes_by_sampling(1, 60, 2, 1000, Settings(episodes=32, learning_rate=0.3))
-    learned = trials.learning(1, 60, 3, Settings(p=1.0, q=0.0, learning_rate=0.1), falls=0.5)
+    who = trials.bayes_by_sampling(1, PROBLEMS, 2, 1000, MANY._replace(learning_rate=0.3))
+    learned = trials.learning(1, PROBLEMS, 3, MANY._replace(p=1.0, q=0.0, learning_rate=0.1), falls=0.5)
     lengths = pictures.lengths({"zero": np.array([3.0, 5.0, 9.0]), "mbo-zero": np.array([9.0, 10.0])}, limit=10)
     assert [label.get_text() for label in lengths.axes[0].get_yticklabels()] == ["Zero reward", "Mbo-Zero reward"]
     drawn = pictures.learning({"p = 1": learned})

@@ -1,17 +1,15 @@
-"""Steps of known kinds, and what reward models say of them."""
+"""Steps of known kinds, and the rewards that models give to them."""
 
 import jax
 import numpy as np
-import pandas as pd
 import pytest
 from probes import ACTIONS, OBS, ROBOT, demos_of, expert_steps, forward, in_numpy, random_steps
 
 from qdil.config import make_config
 from qdil.errors import ConfigError
-from qdil.evidence import settings
-from qdil.lab import steps
 from qdil.imitation import demos as demonstrations
 from qdil.imitation.reward_model import Demonstrations
+from qdil.lab import steps
 from qdil.types import Transitions
 
 
@@ -77,8 +75,8 @@ def test_what_cannot_be_split_is_refused(file, tmp_path):
 def test_other_actions_are_the_same_ones_elsewhere():
     some = expert_steps(np.random.default_rng(0), time=30, envs=1)
     other = steps.with_other_actions(some, 3)
-    mine, theirs = np.asarray(some.action[:, 0]), np.asarray(other.action[:, 0])
-    assert not np.array_equal(mine, theirs) and sorted(mine.tolist()) == sorted(theirs.tolist())
+    before, after = np.asarray(some.action[:, 0]), np.asarray(other.action[:, 0])
+    assert not np.array_equal(before, after) and sorted(before.tolist()) == sorted(after.tolist())
     for name in set(Transitions._fields) - {"action"}:
         np.testing.assert_array_equal(getattr(some, name), getattr(other, name))
 
@@ -105,26 +103,26 @@ def test_chances_are_counted_by_hand():
     assert steps.chance_above(some, others) == pytest.approx(by_hand)
 
 
-def test_opinions_are_means_and_chances():
+def test_rewards_are_compared_by_means_and_chances():
     rewards = {"gail": {"a": np.array([[1.0], [3.0]]), "none": np.array([[2.0], [0.0]])}}
-    table = steps.opinions(rewards, "none")
+    table = steps.compare_rewards(rewards, "none")
     assert table.loc["gail", ("mean reward", "a")] == 2 and table.loc["gail", ("mean reward", "none")] == 1
-    assert table.loc["gail", ("paid more than none", "a")] == 0.75
-    assert ("paid more than none", "none") not in table.columns
+    assert table.loc["gail", ("higher than none", "a")] == 0.75
+    assert ("higher than none", "none") not in table.columns
 
 
-def test_models_are_paid_as_their_program_does(monkeypatch):
-    monkeypatch.setattr(steps.brax_robots, "make", lambda env, backend: ROBOT)
+def test_a_model_learns_and_rewards_steps_of_every_kind(monkeypatch):
+    monkeypatch.setattr(steps.register, "make", lambda env, backend: ROBOT)
     rng = np.random.default_rng(0)
     known, beginner = expert_steps(rng), random_steps(rng)
     shown = {"expert": expert_steps(rng), "random": random_steps(rng)}
     learning = {"reward_hidden": (32,), "reward_steps": 300, "reward_batch": 64, "reward_learning_rate": 3e-3}
     config = make_config("walker2d", "mcond-gail", "smoke", gradient_penalty=0.1, **learning)
-    paid = steps.paid(config, demos_of(known), beginner, shown, 1)
-    assert {kind: rewards.shape for kind, rewards in paid.items()} == {kind: (8, 32) for kind in shown}
-    assert steps.chance_above(paid["expert"], paid["random"]) > 0.9
-    again = steps.paid(config, demos_of(known), beginner, shown, 1)
-    np.testing.assert_array_equal(paid["expert"], again["expert"])
+    rewards = steps.rewards_for(config, demos_of(known), beginner, shown, 1)
+    assert {kind: values.shape for kind, values in rewards.items()} == {kind: (8, 32) for kind in shown}
+    assert steps.chance_above(rewards["expert"], rewards["random"]) > 0.9
+    again = steps.rewards_for(config, demos_of(known), beginner, shown, 1)
+    np.testing.assert_array_equal(rewards["expert"], again["expert"])
 
 
 def test_rounds_teach_a_base_model_on_rows_as_they_are():
@@ -145,29 +143,9 @@ def test_rows_carry_what_they_are_given():
     np.testing.assert_array_equal(rows.obs, np.ones((3, 2)))
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_the_untrained_are_robots_in_motion():
     one, two = steps.untrained("walker2d", 1, robots=2, steps=8), steps.untrained("walker2d", 2, robots=2, steps=8)
     assert one.obs.shape[:2] == (8, 2) and not np.array_equal(one.obs, two.obs)
     np.testing.assert_allclose(one.next_obs[:-1], one.obs[1:], rtol=1e-6)
     assert all(np.isfinite(np.asarray(leaf, float)).all() for leaf in jax.tree.leaves(one))
-
-
-# Tables of settings
-
-
-def test_settings_are_the_runs_and_the_papers_scale_with_their_sources():
-    config = make_config("walker2d", "mconbo-gail", "laptop", bonus_q=1.5)
-    table = settings.table(["bonus_q", "cells", "actor_hidden"], config)
-    assert table.iloc[:, 0].tolist() == ["1.5", str(config.ppga.cells), str(config.ppo.actor_hidden)]
-    full = make_config("walker2d", "mconbo-gail", "full")
-    assert table.iloc[:, 1].tolist() == [str(full.bonus.bonus_q), str(full.ppga.cells), str(full.ppo.actor_hidden)]
-    assert "eq. 2" in table.iloc[0, 2] and "grid cells" in table.iloc[1, 2]
-    with pytest.raises(ConfigError, match="speed"):
-        settings.table(["speed"], config)
-
-
-def test_every_setting_that_can_be_changed_has_a_source():
-    identity = {"env", "method", "budget", "seed"}
-    assert set(settings.sources()) == set(vars(make_config("walker2d", "gail", "full"))) - identity
-    assert pd.Series(settings.sources()).str.len().min() > 5

@@ -1,1 +1,1 @@
-"""The methods that PPGA grew from, on a problem with exact gradients."""
+"""The methods that PPGA grew from, on problems with exact gradients."""

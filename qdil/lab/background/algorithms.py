@@ -1,11 +1,11 @@
-"""The algorithms PPGA grew from, all in pyribs: MAP-Elites, CMA-ME, CMA-MEGA and CMA-MAEGA, these two also with xNES.
+"""The algorithms that PPGA grew from, in pyribs: MAP-Elites, CMA-ME, CMA-MEGA, CMA-MAEGA, the last two also with xNES.
 
 Papers: Mouret & Clune (2015); Fontaine et al. (2020), CMA-ME; Fontaine & Nikolaidis (2021), "Differentiable Quality
 Diversity" (DQD); Fontaine & Nikolaidis (2023), "Covariance Matrix Adaptation MAP-Annealing" (MAP-Annealing). A source
 named beside a setting means the paper and the program published with it.
 
-Departure: equation 16 of the QD-IL paper weighs ∇f with |c_0|. Here, as in pyribs and in the programs of DQD and
-MAP-Annealing, c_0 keeps its sign, so single candidates may also descend.
+Departure: eq. 16 of the QD-IL paper weighs ∇f with |c_0|. Here, as in pyribs and in the programs of DQD and
+MAP-Annealing, c_0 keeps its sign, so that a candidate may also move against ∇f.
 """
 
 from collections.abc import Callable
@@ -25,41 +25,42 @@ class Result(NamedTuple):
     """A finished run."""
 
     searched: GridArchive  # the archive that guided the search; CMA-MAEGA's is soft
-    archive: GridArchive  # the best solution met in every cell; the same object as ``searched`` unless that is soft
+    archive: GridArchive  # the best solution found in every cell; the same object as ``searched`` unless that is soft
     history: dict[str, np.ndarray]  # one row per iteration: evaluations, and ``metrics`` of ``archive``
 
 
 class Algorithm(NamedTuple):
-    """What tells the algorithms apart."""
+    """The parts in which the algorithms differ."""
 
     emitter: Callable[[Problem, GridArchive, int, int], EmitterBase]  # (problem, archive, evaluations, seed)
     uses_gradients: bool = False
-    soft: bool = False  # search a soft archive (thresholds) beside the plain one
+    soft: bool = False  # a soft archive (with thresholds) guides the search
 
 
-def run(
+def run_algorithm(
     problem: Problem,
     algorithm: str,
     iterations: int,
     seed: int,
     *,
     cells: int = 100,  # per measure (DQD)
-    batch: int = 36,  # evaluations per emitter and iteration, a gradient point included (DQD)
+    batch: int = 36,  # evaluations per emitter and iteration, including that of a gradient (DQD)
     emitters: int = 1,  # that share the archive (DQD; MAP-Annealing has 15)
     learning_rate: float = 0.01,  # α of CMA-MAEGA's soft archive, 0 ≤ α ≤ 1 (MAP-Annealing, for 100 x 100 cells)
-    threshold_min: float = 0.0,  # threshold of an empty cell there, objective units (MAP-Annealing)
+    threshold_min: float = 0.0,  # the soft archive's threshold of an empty cell, objective units (MAP-Annealing)
 ) -> Result:
-    """Search ``problem`` with one of ``ALGORITHMS``; all of them spend ``iterations * emitters * batch`` evaluations.
+    """Search ``problem`` with one of ``ALGORITHMS``; each of them uses ``iterations * emitters * batch`` evaluations.
 
-    A gradient counts as part of the evaluation at its point, as in DQD. The last two settings concern CMA-MAEGA alone.
-    The same arguments give the same result. ValueError, before any work, for an algorithm or a setting that cannot be.
+    A gradient counts as part of the evaluation at its point, as in DQD. Only CMA-MAEGA reads the last two settings.
+    The same arguments give the same result. Raises ValueError, before any work, for an unknown algorithm or a setting
+    out of range.
     """
     if algorithm not in ALGORITHMS:
         raise ValueError(f"There is no algorithm {algorithm!r}: choose one of {', '.join(ALGORITHMS)}.")
     chosen = ALGORITHMS[algorithm]
-    _refuse_counts(iterations, cells, batch, emitters)
+    _check_counts(iterations, cells, batch, emitters)
     if chosen.soft:
-        _refuse_softness(problem, learning_rate, threshold_min)
+        _check_softness(problem, learning_rate, threshold_min)
     soft = {"learning_rate": learning_rate, "threshold_min": threshold_min} if chosen.soft else {}
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(emitters + 1)]
     searched = _grid(problem, cells, seed=seeds[0], **soft)
@@ -79,11 +80,11 @@ def run(
 def metrics(archive: GridArchive) -> dict[str, float]:
     """QD-score (plain sum of the elites' objectives, no offset), coverage (share of cells filled), best objective.
 
-    Computed from the archive's arrays: what pyribs accumulates in ``stats`` drifts by rounding. Best is not-a-number
-    for an empty archive. The papers of this module divide the QD-score by the number of cells.
+    They are computed from the archive's arrays, because the sums that pyribs keeps in ``stats`` drift by rounding. The
+    best of an empty archive is not-a-number. The papers of this module divide the QD-score by the number of cells.
     """
     stored = archive.data(["index", "objective"], return_type="dict")
-    objective = stored["objective"][np.argsort(stored["index"])]  # one order, whatever filled the cells first
+    objective = stored["objective"][np.argsort(stored["index"])]  # summed in the order of cells, not of insertion
     return {
         "qd_score": float(objective.sum()),
         "coverage": len(objective) / int(archive.cells),
@@ -93,20 +94,20 @@ def metrics(archive: GridArchive) -> dict[str, float]:
 
 def _gaussian(problem: Problem, archive: GridArchive, batch: int, seed: int) -> EmitterBase:
     """MAP-Elites: random elites plus isotropic noise."""
-    # The first batch is N(0, I), DQD's initial population (100 there, which came on top of the evaluations).
+    # The first batch is N(0, I), as DQD's initial population (which had 100 solutions, not counted as evaluations).
     start = np.random.default_rng([seed, 0]).standard_normal((batch, problem.solution_dim))
     return GaussianEmitter(archive, sigma=problem.sigma, initial_solutions=start, batch_size=batch, seed=seed)
 
 
 def _evolution(problem: Problem, archive: GridArchive, batch: int, seed: int) -> EmitterBase:
-    """CMA-ME with improvement emitters: CMA-ES in solution space, ranked by what it changed in the archive."""
+    """CMA-ME with improvement emitters: CMA-ES in solution space, ranked by improvement of the archive."""
     return EvolutionStrategyEmitter(
         archive,
         x0=np.zeros(problem.solution_dim),  # (DQD)
         sigma0=problem.sigma,
         ranker="2imp",  # new cells before improved ones (CMA-ME paper)
         selection_rule="filter",  # parents are those that entered the archive (CMA-ME paper)
-        restart_rule="no_improvement",  # from a random elite when none did (CMA-ME paper)
+        restart_rule="no_improvement",  # from a random elite if none entered (CMA-ME paper)
         batch_size=batch,
         seed=seed,
     )
@@ -123,18 +124,19 @@ def _arborescence(
         lr=1.0,  # θ moves all the way to the parents' weighted mean (DQD)
         grad_opt="gradient_ascent",  # (DQD)
         ranker=ranker,
-        # The better half are parents (DQD). pyribs' default takes those that entered the archive as parents: where
-        # none did and the restart rule is "basic", it has no parents, reads their mean as 0 and moves θ to the origin.
+        # The better half are parents (DQD). pyribs' default makes parents of the solutions that entered the archive. If
+        # none entered and the restart rule is "basic", there are no parents, their mean is 0 and θ moves to the origin.
         selection_rule="mu",
         restart_rule=restart_rule,
         es=es,
-        batch_size=batch - 1,  # the evaluation of θ itself is the one more
+        batch_size=batch - 1,  # θ itself is evaluated too
         seed=seed,
     )
 
 
 _MEGA = {"ranker": "2imp", "restart_rule": "no_improvement"}  # (DQD)
-_MAEGA = {"ranker": "imp", "restart_rule": "basic"}  # by f − t_e; only the strategy's own restarts (MAP-Annealing)
+# Ranked by f − t_e; restarts only if the strategy itself asks for one (MAP-Annealing).
+_MAEGA = {"ranker": "imp", "restart_rule": "basic"}
 
 
 def _dqd(es: Any, rules: dict[str, Any], soft: bool) -> Algorithm:
@@ -165,18 +167,18 @@ def _tell_gradients(problem: Problem, scheduler: Scheduler) -> None:
     scheduler.tell_dqd(*problem.evaluate(theta), jacobian)
 
 
-def _refuse_counts(iterations: int, cells: int, batch: int, emitters: int) -> None:
-    # A strategy needs two samples to rank, and the gradient point is one evaluation more.
+def _check_counts(iterations: int, cells: int, batch: int, emitters: int) -> None:
+    # A strategy needs two samples to rank, and θ is evaluated too.
     least = {"iterations": (iterations, 1), "cells": (cells, 1), "batch": (batch, 3), "emitters": (emitters, 1)}
     for name, (value, smallest) in least.items():
         if value < smallest:
             raise ValueError(f"{name} must be at least {smallest}, not {value}.")
 
 
-def _refuse_softness(problem: Problem, learning_rate: float, threshold_min: float) -> None:
+def _check_softness(problem: Problem, learning_rate: float, threshold_min: float) -> None:
     if not 0 <= learning_rate <= 1:
         raise ValueError(f"learning_rate must be between 0 and 1, not {learning_rate}.")
-    # The start then always enters the soft archive, so that a restart finds an elite there.
+    # A start above the threshold always enters the soft archive, so that a restart finds an elite.
     start = float(problem.evaluate(np.zeros((1, problem.solution_dim)))[0][0])
     if not -np.inf < threshold_min < start:
         raise ValueError(f"threshold_min must be finite and below the start's objective, {start:.6g}.")

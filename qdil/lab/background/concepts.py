@@ -1,7 +1,7 @@
-"""The paper's two problems in miniature, on a behaviour space of one measure: where a search goes, what a reward likes.
+"""The paper's two problems in miniature, with one measure: where a search goes, and which gaits a reward prefers.
 
-Small enough that gradients and the best discriminator are exact. Illustrations in the spirit of Fig. 1, not evidence:
-nothing here is learned from data or simulated.
+The examples are so small that gradients and the best discriminator are exact. They illustrate, in the spirit of Fig. 1,
+and are no evidence: nothing here is learned from data or simulated.
 """
 
 from typing import NamedTuple
@@ -13,12 +13,12 @@ BEGIN = 0.35  # measure of the first search policy
 SPREAD = 0.05  # standard deviation of an episode's measure around its policy's
 RATE = 1e-3  # how far the search policy moves along a gradient
 PATIENCE = 15  # iterations without a new cell after which the search restarts
-GRID = np.linspace(-0.25, 1.25, 601)  # episodes' measures that expectations are summed over
-MIDDLES = (np.arange(400) + 0.5) / 400  # of 400 steps from 0 to 1
+GRID = np.linspace(-0.25, 1.25, 601)  # measures of episodes, over which expectations are summed
+MIDDLES = (np.arange(400) + 0.5) / 400  # of 400 intervals from 0 to 1
 
 
 class Explored(NamedTuple):
-    """Where a search of N iterations has been, on M cells of equal size between 0 and 1."""
+    """The course of a search of N iterations, on M cells of equal size between 0 and 1."""
 
     position: np.ndarray  # (N,) the search policy's measure
     visits: np.ndarray  # (M,) episodes that landed in each cell
@@ -32,20 +32,20 @@ def fitness(measure: np.ndarray) -> np.ndarray:
 
 
 def explore(q: float, iterations: int, cells: int, seed: int) -> Explored:
-    """A search policy that climbs E[f(m) + q·1[m ∈ A_e]], its episodes' measures drawn around its own.
+    """A search policy that climbs E[f(m) + q·1[m ∈ A_e]]; the measures m of its episodes are normal around its own.
 
-    Policy gradient on eq. 4 where everything is known: each iteration takes one step along the exact gradient, plays
-    one episode and fills that episode's cell. As PPGA does, it restarts at a filled cell where nothing more is found.
-    q = 0 is a search without bonus. Measures beyond 0 and 1 count as 0 and 1.
+    This is the policy gradient on the reward of eq. 4, computed exactly: each iteration takes one step along the
+    gradient, plays one episode and fills that episode's cell. As PPGA does, it restarts at a filled cell after
+    ``PATIENCE`` iterations without a new cell. q = 0 is a search without bonus. Measures are clipped to [0, 1].
     """
     rng = np.random.default_rng(seed)
     position, empty = BEGIN, np.ones(cells, bool)
     visits, positions, filled = np.zeros(cells, int), [], []
-    paid, cell_on_grid = fitness(np.clip(GRID, 0, 1)), _cell(GRID, cells)
+    fitness_on_grid, cell_on_grid = fitness(np.clip(GRID, 0, 1)), _cell(GRID, cells)
     for iteration in range(1, iterations + 1):
         likely = np.exp(-(((GRID - position) / SPREAD) ** 2) / 2)
-        score = (GRID - position) / SPREAD**2  # ∇ log of the density: the policy gradient is E[score × payment]
-        gradient = np.average(score * (paid + q * empty[cell_on_grid]), weights=likely)
+        score = (GRID - position) / SPREAD**2  # ∇ log of the density: the policy gradient is E[score × reward]
+        gradient = np.average(score * (fitness_on_grid + q * empty[cell_on_grid]), weights=likely)
         position = float(np.clip(position + RATE * gradient, 0, 1))
         cell = _cell(rng.normal(position, SPREAD), cells)
         empty[cell] = False
@@ -66,10 +66,10 @@ def discriminator_reward(
 ) -> np.ndarray:
     """Mean reward −log(1−D*) (N,) of gaits with ``measure`` (N,), D* the best discriminator against uniform policies.
 
-    A step is a point (m, u): its measure and a detail u ∈ [0, 1] that says nothing of the behaviour. Demonstrations
+    A step is a point (m, u): its measure and a detail u ∈ [0, 1] that does not depend on the behaviour. Demonstrations
     are Gaussian bumps of ``width`` around ``experts`` (E,) and ``details`` (E,), one each. Against uniform policy data
     D* = p/(1+p) with p the density of demonstrations, so the reward is log(1+p); the mean is over policies' details.
-    Without ``sees_details``, p is the density of the measure alone. Never less then, by Jensen's inequality.
+    Without ``sees_details``, p is the density of the measure alone, and by Jensen's inequality the reward is no lower.
     """
     along_m = _bumps(measure, experts, width)  # (N, E)
     if not sees_details:

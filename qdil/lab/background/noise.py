@@ -1,4 +1,4 @@
-"""Problems that are measured with noise, as a policy's return and measures are from a few episodes."""
+"""Problems with noisy evaluations, like a policy's return and measures from a few episodes."""
 
 import numpy as np
 from ribs.archives import GridArchive
@@ -10,25 +10,25 @@ def noisy(problem: Problem, objective_sd: float, measure_sd: float, seed: int) -
     """``problem`` with normal noise on every evaluation; its gradients stay exact.
 
     ``objective_sd`` is in units of the objective, ``measure_sd`` a share of each measure's range; measures are clipped
-    to their ranges. The noise is a stream of its own that goes on from call to call, so make a new one for every run.
+    to their ranges. Every call draws new noise from one generator, so make a new problem for every run.
     """
     rng = np.random.default_rng(seed)
     low, high = np.array(problem.measure_ranges).T
 
     def evaluate(solutions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         objective, measures = problem.evaluate(solutions)
-        said = objective + objective_sd * rng.standard_normal(objective.shape)
-        where = measures + measure_sd * (high - low) * rng.standard_normal(measures.shape)
-        return said, np.clip(where, low, high)
+        noisy_objective = objective + objective_sd * rng.standard_normal(objective.shape)
+        noisy_measures = measures + measure_sd * (high - low) * rng.standard_normal(measures.shape)
+        return noisy_objective, np.clip(noisy_measures, low, high)
 
     return problem._replace(name=f"noisy {problem.name}", evaluate=evaluate)
 
 
-def judged(problem: Problem, archive: GridArchive) -> GridArchive:
-    """The elites of ``archive`` put where they belong, by what ``problem`` without noise says of them.
+def rescored(problem: Problem, archive: GridArchive) -> GridArchive:
+    """A new archive with the elites of ``archive`` evaluated on ``problem``, which has no noise.
 
-    An elite that noise had carried into a foreign cell moves home, where it may meet a better one: so the result never
-    holds more elites than ``archive``, and its QD-score is what that archive is really worth.
+    An elite that noise had put into a wrong cell moves to its own, where a better elite may replace it. So the result
+    never holds more elites than ``archive``, and its metrics are the true ones.
     """
     home = GridArchive(solution_dim=problem.solution_dim, dims=list(archive.dims), ranges=problem.measure_ranges)
     stored = archive.data(["index", "solution"], return_type="dict")

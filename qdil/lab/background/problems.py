@@ -1,7 +1,7 @@
 """Quality-diversity benchmarks whose gradients are known exactly: two linear projections and a planar arm.
 
 From Fontaine et al. (2020), "Covariance Matrix Adaptation for the Rapid Illumination of Behavior Space", and
-Fontaine & Nikolaidis (2021), "Differentiable Quality Diversity" (DQD). All are maximised, with 100 the optimum.
+Fontaine & Nikolaidis (2021), "Differentiable Quality Diversity" (DQD). All are maximised; the optimum is 100.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 LIMIT = 5.12  # |x| up to which a coordinate counts in full in a linear projection (CMA-ME paper, section 4)
-OFFSET = 0.4 * LIMIT  # every coordinate of the sphere's and Rastrigin's optimum, off centre (same place)
+OFFSET = 0.4 * LIMIT  # every coordinate of the optimum of the sphere and of Rastrigin (same section)
 
 Elementwise = Callable[[np.ndarray], np.ndarray]
 
@@ -23,14 +23,15 @@ class Problem(NamedTuple):
     measure_ranges: tuple[tuple[float, float], ...]  # (lowest, highest) of each of the k measures
     evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # (N, d) -> f (N,), m (N, k)
     gradients: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # (N, d) -> ∇f (N, d), ∇m (N, k, d)
-    sigma: float  # initial step in solution space that the papers' experiments use here, in units of x
-    sigma_g: float  # the same for coefficients of unit-length gradients
+    sigma: float  # the papers' initial step in solution space, in units of x
+    sigma_g: float  # the papers' initial step of the coefficients of unit-length gradients
 
 
 def sphere(dim: int) -> Problem:
     """Linear projection of the sphere: f falls with the squared distance from x_i = ``OFFSET``.
 
-    f = 100 (1 − Σ (x_i − OFFSET)² / worst), worst that of the corner x_i = −LIMIT; below 0 far outside the box.
+    f = 100 (1 − Σ (x_i − OFFSET)² / worst), where ``worst`` is the sum at the corner x_i = −LIMIT, so that f is below
+    0 only far outside the box.
     """
     return _linear_projection("sphere", dim, penalty=np.square, slope=lambda z: 2 * z)
 
@@ -38,8 +39,8 @@ def sphere(dim: int) -> Problem:
 def rastrigin(dim: int) -> Problem:
     """Linear projection of Rastrigin's function: the sphere's bowl with a local optimum near every whole step.
 
-    f = 100 (1 − Σ (10 + z_i² − 10 cos 2πz_i) / worst), z_i = x_i − OFFSET, worst that of the corner x_i = −LIMIT as in
-    DQD's experiments. The crests of the waves near the corner are worse still: f goes down to −11 inside the box.
+    f = 100 (1 − Σ (10 + z_i² − 10 cos 2πz_i) / worst), z_i = x_i − OFFSET, where ``worst`` is the sum at the corner
+    x_i = −LIMIT, as in DQD's experiments. The wave crests near the corner are worse: f is as low as −11 inside the box.
     """
     return _linear_projection(
         "rastrigin",
@@ -52,10 +53,10 @@ def rastrigin(dim: int) -> Problem:
 def arm(dim: int) -> Problem:
     """Planar arm repertoire: ``dim`` joint angles (radians, each relative to the link before), links of length 1.
 
-    Measures are the end of the arm (x, y); only the disc of radius ``dim`` can be reached, about π/4 of the cells.
-    f = 100 (1 − population variance of the angles), so smooth bends are best; below 0 for variances above 1.
+    The measures are the end of the arm (x, y). It reaches only the disc of radius ``dim``, about π/4 of the cells.
+    f = 100 (1 − population variance of the angles), so equal bends are best; f is below 0 for variances above 1.
     """
-    _refuse_dim(dim, least=1)
+    _check_dim(dim, least=1)
 
     def evaluate(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         heading = np.cumsum(angles, axis=1)  # of each link, from the x axis
@@ -64,9 +65,9 @@ def arm(dim: int) -> Problem:
 
     def gradients(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         heading = np.cumsum(angles, axis=1)
-        moved = np.stack([-np.sin(heading), np.cos(heading)], axis=1)  # (N, 2, d) what turning each link alone does
-        further = np.cumsum(moved[:, :, ::-1], axis=2)[:, :, ::-1]  # a joint turns every link from itself on
-        return -200 / dim * (angles - angles.mean(axis=1, keepdims=True)), further
+        by_link = np.stack([-np.sin(heading), np.cos(heading)], axis=1)  # (N, 2, d) effect of turning one link alone
+        by_joint = np.cumsum(by_link[:, :, ::-1], axis=2)[:, :, ::-1]  # a joint turns its own and every later link
+        return -200 / dim * (angles - angles.mean(axis=1, keepdims=True)), by_joint
 
     reach = (-float(dim), float(dim))
     # Steps: DQD's experiments with the arm.
@@ -76,11 +77,12 @@ def arm(dim: int) -> Problem:
 def _linear_projection(name: str, dim: int, penalty: Elementwise, slope: Elementwise) -> Problem:
     """Minimise Σ penalty(x − OFFSET); measures are the sums of the first ⌊d/2⌋ and of the other clipped coordinates.
 
-    A coordinate is clipped as clip(x) = x within ±LIMIT, LIMIT / x outside, which jumps from 5.12 to 1 at the limit:
-    the gradients are exact on either side, and the inner one at the limit itself. A search that starts at x = 0 and
-    moves along these gradients alone keeps the coordinates of each half equal, so it explores a plane, whatever d is.
+    A coordinate is clipped as clip(x) = x within ±LIMIT and LIMIT / x outside, which jumps from 5.12 to 1 at the limit.
+    The gradients are exact on either side; at the limit itself they are those of the inside. A search that starts at
+    x = 0 and moves along these gradients alone keeps the coordinates of each half equal, so it explores a plane for
+    any d.
     """
-    _refuse_dim(dim, least=2)
+    _check_dim(dim, least=2)
     worst = dim * float(penalty(np.array(-LIMIT - OFFSET)))
     first = np.arange(dim) < dim // 2
     member = np.stack([first, ~first]).astype(float)  # (2, d) which coordinates a measure sums
@@ -100,6 +102,6 @@ def _linear_projection(name: str, dim: int, penalty: Elementwise, slope: Element
     return Problem(name, dim, ((-low, low), (-high, high)), evaluate, gradients, sigma=0.5, sigma_g=10.0)
 
 
-def _refuse_dim(dim: int, least: int) -> None:
+def _check_dim(dim: int, least: int) -> None:
     if dim < least:
         raise ValueError(f"This problem needs at least {least} dimension{'s' * (least > 1)}, not {dim}.")

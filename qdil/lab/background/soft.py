@@ -1,8 +1,8 @@
 """The soft archive's threshold rule on its own, one solution at a time (section 2.1, Algorithm 2).
 
-The paper prints Algorithm 2 with the threshold updated before the improvement is taken, which would make every
-improvement (1 - α)(f - t_e): nothing at all for α = 1. The improvement here is over the threshold *before* the update,
-as in the MAP-Annealing paper and in pyribs.
+The paper prints Algorithm 2 with the threshold updated before the improvement is computed. Every improvement would
+then be (1 - α)(f - t_e), which is 0 for α = 1. Here the improvement is over the threshold *before* the update, as in
+the MAP-Annealing paper and in pyribs.
 """
 
 from collections.abc import Sequence
@@ -12,12 +12,12 @@ import numpy as np
 
 
 class Visits(NamedTuple):
-    """What one cell does with solutions that arrive one after the other, a row per arrival."""
+    """Solutions that arrive in one cell one after the other, a row per arrival."""
 
-    objective: np.ndarray  # (n,) of the arrival, f
-    before: np.ndarray  # (n,) threshold that it met, t_e
-    after: np.ndarray  # (n,) threshold that it left
-    improvement: np.ndarray  # (n,) f - t_e if it was accepted, else 0
+    objective: np.ndarray  # (n,) f of the solution
+    before: np.ndarray  # (n,) threshold t_e before it arrived
+    after: np.ndarray  # (n,) threshold after it arrived
+    improvement: np.ndarray  # (n,) f - t_e if the solution was accepted, else 0
 
 
 def visit(objectives: Sequence[float], learning_rate: float, threshold_min: float = 0.0) -> Visits:

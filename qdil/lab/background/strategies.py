@@ -1,4 +1,4 @@
-"""CMA-ES and xNES alone, on the smallest problem that has what troubles them in PPGA: few dimensions and much noise."""
+"""CMA-ES and xNES alone, on the smallest problem with the two difficulties of PPGA: few dimensions and much noise."""
 
 from typing import Any, NamedTuple
 
@@ -11,8 +11,9 @@ from qdil.qd.xnes import XNES
 class WholeRankOne(CMAEvolutionStrategy):
     """pyribs' CMA-ES with the weight that Hansen's tutorial (2016) gives the covariance's rank-one term.
 
-    pyribs 0.12 multiplies that term with its learning rate twice and leaves out the step size, so that the covariance
-    fades where nothing else feeds it. The path is divided by today's step size, not by that of every step in it.
+    pyribs 0.12 multiplies this term by its learning rate twice and leaves out the step size, so that the covariance
+    shrinks unless the rank-μ term keeps it up. The evolution path is divided by the current step size, not by that of
+    every step in it.
     """
 
     @staticmethod
@@ -30,7 +31,7 @@ START = 10.0  # distance of the start from the optimum, in units of the first st
 
 
 class Chase(NamedTuple):
-    """A strategy on its way to an optimum, a row per iteration."""
+    """The course of a strategy towards an optimum, a row per iteration."""
 
     distance: np.ndarray  # (n,) from the distribution's mean to the optimum, in units of the first step
     width: np.ndarray  # (n,) of the distribution: the geometric mean of its axes, in the same units
@@ -39,9 +40,9 @@ class Chase(NamedTuple):
 def chase(strategy: str, noise: float, iterations: int, seed: int, dim: int = 3, batch: int = 36) -> Chase:
     """Maximise -|c|² over c in R^``dim`` from a random point at distance ``START``, with first step 1.
 
-    Every value is seen through normal noise of deviation ``noise`` (in units of -|c|²), drawn anew each time, so that
-    near the optimum the ranking of the ``batch`` samples is chance. Dimension 3 is that of the coefficients
-    (c_0, c_1, c_2). Raises ValueError for an unknown strategy.
+    Every value has normal noise of deviation ``noise`` (in units of -|c|²), drawn anew each time, so that near the
+    optimum the ranking of the ``batch`` samples is chance. Dimension 3 is that of the coefficients (c_0, c_1, c_2) of a
+    robot with two feet. Raises ValueError for an unknown strategy.
     """
     if strategy not in STRATEGIES:
         raise ValueError(f"There is no strategy {strategy!r}: choose one of {', '.join(STRATEGIES)}.")

@@ -12,8 +12,8 @@ from qdil.lab.lemma.mdp import Episodes, Mdp, bonus_return, sample
 from qdil.rl.vppo import gae
 
 
-class Settings(NamedTuple):
-    """One iteration of PPO; the constants are the robots' where a table has the same meaning as a network."""
+class TabularPPO(NamedTuple):
+    """One iteration of PPO with a table as policy. Constants are the robots' where they mean the same for a table."""
 
     horizon: int = 12  # T, steps (ours)
     episodes: int = 128  # sampled per iteration (ours)
@@ -30,13 +30,13 @@ class Settings(NamedTuple):
 STATIC = ("horizon", "episodes", "minibatches", "epochs")  # the settings that shapes and loops depend on
 
 
-def improve(key: jax.Array, mdp: Mdp, theta: jax.Array, occupied: jax.Array, settings: Settings) -> jax.Array:
-    """One iteration of PPO-clip on p + q·1[m ∈ A_e]: sample episodes, then several epochs of Adam. The new θ (S, A).
+def improve(key: jax.Array, mdp: Mdp, theta: jax.Array, occupied: jax.Array, settings: TabularPPO) -> jax.Array:
+    """θ (S, A) after one iteration of PPO-clip on p + q·1[m ∈ A_e]: sample episodes, then several epochs of Adam.
 
-    As for the robots, the reward of a step is its whole episode's, advantages are GAE's with a critic that sees the
-    state alone, and they are normalised within each minibatch. The critic is the mean return from each state in the
-    sampled episodes; a time limit is an end, since Lemma 1's return ends with the episode. Raises ValueError where
-    minibatches would not be equal.
+    As for the robots, the reward of a step is that of its whole episode, GAE's critic sees the state alone, and
+    advantages are normalised within each minibatch. The critic is the mean return from each state in the sampled
+    episodes. A time limit is an end, since Lemma 1's return ends with the episode. Raises ValueError if
+    ``minibatches`` does not divide ``episodes``.
     """
     if settings.episodes % settings.minibatches:
         raise ValueError(f"minibatches={settings.minibatches} must divide episodes={settings.episodes}.")
@@ -44,21 +44,12 @@ def improve(key: jax.Array, mdp: Mdp, theta: jax.Array, occupied: jax.Array, set
     seen = sample(sample_key, mdp, theta, settings.horizon, settings.episodes)
     advantage = _advantages(seen, occupied, settings, len(mdp.start))
     before = _log_prob(theta, seen.state, seen.action)
+    gradient = jax.grad(partial(_loss, seen=seen, advantage=advantage, before=before, clip=settings.clip))
     opt = optax.adam(settings.learning_rate)
-
-    def loss(theta: jax.Array, rows: jax.Array) -> jax.Array:
-        mine, weight = advantage[:, rows], seen.counts[:, rows].astype(jnp.float32)
-        steps = jnp.sum(weight)
-        mean = jnp.sum(mine * weight) / steps
-        spread = jnp.sqrt(jnp.sum(jnp.square(mine - mean) * weight) / steps + 1e-8)
-        normalised = (mine - mean) / spread
-        ratio = jnp.exp(_log_prob(theta, seen.state[:, rows], seen.action[:, rows]) - before[:, rows])
-        clipped = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
-        return -jnp.sum(jnp.minimum(ratio * normalised, clipped * normalised) * weight) / steps
 
     def minibatch(carry, rows):
         theta, state = carry
-        move, state = opt.update(jax.grad(loss)(theta, rows), state)
+        move, state = opt.update(gradient(theta, rows), state)
         return (optax.apply_updates(theta, move), state), None
 
     def epoch(carry, key):
@@ -69,6 +60,25 @@ def improve(key: jax.Array, mdp: Mdp, theta: jax.Array, occupied: jax.Array, set
     return jax.lax.scan(epoch, (theta, opt.init(theta)), keys)[0][0]
 
 
+def _loss(
+    theta: jax.Array,
+    rows: jax.Array,
+    seen: Episodes,
+    advantage: jax.Array,
+    before: jax.Array,
+    clip: jax.Array | float,
+) -> jax.Array:
+    """PPO-clip's loss of the episodes ``rows``; ``before`` (T, N) are the old policy's log-probabilities."""
+    values, weight = advantage[:, rows], seen.counts[:, rows].astype(jnp.float32)
+    steps = jnp.sum(weight)
+    mean = jnp.sum(values * weight) / steps
+    spread = jnp.sqrt(jnp.sum(jnp.square(values - mean) * weight) / steps + 1e-8)
+    normalised = (values - mean) / spread
+    ratio = jnp.exp(_log_prob(theta, seen.state[:, rows], seen.action[:, rows]) - before[:, rows])
+    clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
+    return -jnp.sum(jnp.minimum(ratio * normalised, clipped * normalised) * weight) / steps
+
+
 @partial(jax.jit, static_argnames="horizon")
 def ascend(
     mdp: Mdp, theta: jax.Array, occupied: jax.Array, horizon: int, gamma: jax.Array | float, size: jax.Array | float
@@ -77,12 +87,12 @@ def ascend(
     return theta + size * jax.grad(bonus_return, argnums=1)(mdp, theta, occupied, horizon, gamma)
 
 
-def _advantages(seen: Episodes, occupied: jax.Array, settings: Settings, states: int) -> jax.Array:
-    """(T, N) GAE with the tabular critic; what lies after an episode's end is zero."""
+def _advantages(seen: Episodes, occupied: jax.Array, settings: TabularPPO, states: int) -> jax.Array:
+    """(T, N) GAE with the tabular critic; steps after an episode's end have advantage 0."""
     within = seen.counts.astype(jnp.float32)
     rewards = (settings.p + settings.q * is_empty(occupied, seen.measures)) * within
     nothing = jnp.zeros_like(rewards)
-    returns = gae(rewards, nothing, nothing, nothing, nothing, settings.gamma, 1.0)  # discounted sums to come
+    returns = gae(rewards, nothing, nothing, nothing, nothing, settings.gamma, 1.0)  # discounted sums of later rewards
     visits = jnp.zeros(states).at[seen.state].add(within)
     critic = jnp.zeros(states).at[seen.state].add(returns * within) / jnp.maximum(visits, 1.0)
     values = critic[seen.state] * within
