@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdil.devices import hosts
 from qdil.cli import main
 from qdil.config import ConfigError
+from qdil.devices import hosts
 
 TRAIN = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", "--out"]
 

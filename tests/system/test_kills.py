@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from test_checkpoint import same_run
 
-from qdil.runs.folder import is_finished
-from qdil.runs.train import train
 from qdil.cli import main
 from qdil.config import make_config
+from qdil.runs.folder import is_finished
+from qdil.runs.train import train
 
 ROOT = Path(__file__).parent.parent
 ANNOUNCING = Path(__file__).parent / "announcing.py"
