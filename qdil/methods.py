@@ -139,9 +139,10 @@ def parse_method(name: str) -> Method:
         if rest not in known:
             continue
         if not known[rest].imitates and (conditioned or obs_only):
-            why = "reads no demonstrations, so it cannot be conditioned on measures"
-            why = why if conditioned else "reads no actions that could be hidden"
-            raise ConfigError(f"method '{name}': the reward '{rest}' {why}; use {rest} or mbo-{rest}.")
+            raise ConfigError(
+                f"method '{name}': '{rest}' does not learn from demonstrations, so it has no mcond- and -obs variants; "
+                f"use {rest} or mbo-{rest}."
+            )
         return Method(known[rest], conditioned, bonus, obs_only)
     raise ConfigError(f"unknown method '{name}'; choose one of {', '.join(method_names())}.")
 
