@@ -7,6 +7,7 @@ hides actions from the reward model (eq. 20). Importing this module does not imp
 
 import re
 from collections.abc import Callable
+from difflib import get_close_matches
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -144,7 +145,12 @@ def parse_method(name: str) -> Method:
                 f"use {rest} or mbo-{rest}."
             )
         return Method(known[rest], conditioned, bonus, obs_only)
-    raise ConfigError(f"unknown method '{name}'; choose one of {', '.join(method_names())}.")
+    close = get_close_matches(name, method_names(), 1)
+    hint = f"did you mean {close[0]}? A" if close else "a"
+    raise ConfigError(
+        f"unknown method '{name}': {hint} method is one of {', '.join(known)}, "
+        "perhaps with mcond-, mbo- or mconbo- before it and -obs after it ('qdil methods' lists all)."
+    )
 
 
 def name_of(method: Method) -> str:

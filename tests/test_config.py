@@ -105,7 +105,8 @@ def test_every_method_is_allowed_on_every_robot_at_every_budget(env, budget):
 def test_unknown_names_are_refused_with_what_would_be_right():
     assert "walker2d" in refused(make_config, "dog", "gail", "smoke")
     assert "laptop" in refused(make_config, "walker2d", "gail", "huge")
-    assert "mconbo-gail" in refused(make_config, "walker2d", "bc", "smoke")
+    assert "gail, vail" in refused(make_config, "walker2d", "bc", "smoke")
+    assert "mconbo-gail" in refused(make_config, "walker2d", "mconbo-gial", "smoke")
     assert "'widnow'" in refused(make_config, "walker2d", "gail", "smoke", widnow=3)
     assert "gae_lambda" in refused(make_config, "walker2d", "gail", "smoke", gae_lamda=0.9)
     assert "rollout_length" in refused(make_config, "walker2d", "gail", "smoke", window=3)

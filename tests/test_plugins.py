@@ -144,6 +144,9 @@ def qdil(folder, *arguments):
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
 
 
+TRAIN = ["train", "--method", "mconbo-near", "--budget", "smoke"]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mine")
@@ -161,13 +164,17 @@ def test_the_command_line_lists_an_imported_method(folder):
 
 
 @pytest.mark.physics
+def test_the_command_line_plans_a_run_of_an_imported_robot_and_reward(folder):
+    done = qdil(folder, "--import", "my_module", *TRAIN, "--env", "three", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert '"env": "three"' in done.stdout and '"method": "mconbo-near"' in done.stdout and "estimate" in done.stdout
+
+
+@pytest.mark.physics
 @pytest.mark.parametrize(("env", "copies"), [("three", 4), ("ant-1", 2)])
-def test_the_command_line_plans_a_run_of_an_imported_robot_and_reward(folder, env, copies):
-    command = ["train", "--env", env, "--method", "mconbo-near", "--budget", "smoke"]
-    refusal = qdil(folder, "--import", "my_module", *command, "--set", "num_envs=25")
-    assert refusal.returncode == 2 and f"divisible by {copies}," in refusal.stderr
-    unknown = qdil(folder, *command)
-    assert unknown.returncode == 2 and "'mconbo-near'" in unknown.stderr
+def test_settings_of_an_imported_robot_are_checked(folder, env, copies):
+    done = qdil(folder, "--import", "my_module", *TRAIN, "--env", env, "--set", "num_envs=25")
+    assert done.returncode == 2 and f"divisible by {copies}," in done.stderr
 
 
 @pytest.mark.physics
@@ -176,7 +183,8 @@ def test_the_command_line_plans_a_run_of_an_imported_robot_and_reward(folder, en
     [
         (["--import", "my_broken", "methods"], "'my_broken'"),
         (["--import", "my_lost", "train", "--env", "walker2d", "--method", "true"], "'my_lost'"),
-        (["--import", "my_module", "train", "--env", "dog", "--method", "true"], "'dog'"),
+        (["--import", "my_module", *TRAIN, "--env", "dog"], "'dog'"),
+        ([*TRAIN, "--env", "walker2d"], "'mconbo-near'"),
     ],
 )
 def test_what_cannot_be_found_ends_in_a_sentence_and_code_two(folder, arguments, named):
