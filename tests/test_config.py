@@ -330,7 +330,11 @@ def test_only_settings_of_speed_may_be_missing(name):
 
 @pytest.mark.physics
 def test_reading_settings_needs_no_jax():
-    program = "import sys, qdil.config; print([name for name in ('jax', 'brax', 'numpy') if name in sys.modules])"
+    program = """
+import sys, qdil.config, qdil.methods, qdil.plugins, qdil.robots.register
+qdil.config.make_config("ant", "mconbo-gail", "laptop")
+print([name for name in ("jax", "brax", "mujoco", "numpy") if name in sys.modules])
+"""
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

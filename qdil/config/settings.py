@@ -31,7 +31,7 @@ STRICT = ConfigDict(strict=True)  # the text "7" is not an integer, and True is 
 
 
 def setting(default: Any, what: str) -> Any:
-    """A setting with its default, the ``full`` budget's; ``what``: what it is, its unit, where the default is from."""
+    """A setting and its default for the ``full`` budget; ``what`` says what it is, its unit, and where that is from."""
     return Field(default, description=what)
 
 
@@ -52,7 +52,7 @@ class PPGA:
         0, "plain PPO updates on the method's own reward before iteration 1 (ours; 0 in the paper)"
     )
     gradient_updates: AtLeastOne = setting(
-        10, "N1, VPPO updates behind each Jacobian (authors; the paper's Table 4 is lost)"
+        10, "N1, VPPO updates before each Jacobian (authors; the paper's Table 4 is lost)"
     )
     walk_updates: AtLeastOne = setting(10, "N2, VPPO updates of the walk (authors; the paper's Table 4 is lost)")
     candidates: AtLeastOne = setting(300, "λ, branched policies an iteration (authors)")
@@ -61,10 +61,10 @@ class PPGA:
     archive_learning_rate: Share = setting(0.5, "α of the soft archive, 0 < α ≤ 1 (authors: 0.5; humanoid 0.1)")
     threshold_min: Number = setting(200.0, "soft archive's threshold of an empty cell, return units (authors)")
     selection: Literal["learned", "true"] = setting(
-        "learned", "which return fills the archive: learned (Definition 1) or true (released program)"
+        "learned", "the return that archives compare: learned (Definition 1) or true (released program)"
     )
     walk_weights: Literal["xnes", "fitness"] = setting(
-        "xnes", "the walk's reward: weighted by xnes (Algorithm 1) or fitness alone (released program)"
+        "xnes", "the walk's objective: weighted by xnes (Algorithm 1) or fitness alone (released program)"
     )
 
 
@@ -73,12 +73,16 @@ class Evaluation:
     """How candidates are scored over whole episodes."""
 
     episodes: AtLeastOne = setting(10, "whole episodes per candidate (authors)")
-    sample_actions: bool = setting(True, "candidates and demonstrators act by samples of π_θ (true) or by its mean")
-    eval_chunk_steps: AtLeastOne = setting(50, "steps after which finished episodes make room for unfinished ones")
+    sample_actions: bool = setting(
+        True, "candidates and demonstrators sample actions from π_θ (true) or take its mean (false)"
+    )
+    eval_chunk_steps: AtLeastOne = setting(
+        50, "steps of a chunk, after which unfinished episodes replace finished ones in the batch"
+    )
     eval_chunks_per_sync: AtLeastOne = setting(
         1, "chunks run before the host checks whether any episode is unfinished; memory grows with it"
     )
-    eval_batch_size: AtLeastOne = setting(1000, "unfinished episodes that a device simulates together, at most")
+    eval_batch_size: AtLeastOne = setting(1000, "the most unfinished episodes that a device simulates together")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -87,19 +91,23 @@ class PPO:
 
     actor_hidden: Widths = setting((128, 128), "tanh layers of the policy (authors)")
     critic_hidden: Widths = setting((256, 256), "tanh layers of the critic (authors)")
-    initial_std: Positive = setting(1.0, "initial deviation of the action distribution, in action units (authors)")
+    initial_std: Positive = setting(
+        1.0, "initial standard deviation of the action distribution, action units (authors)"
+    )
     num_envs: AtLeastOne = setting(3000, "robots simulated side by side (authors)")
     rollout_length: AtLeastOne = setting(128, "steps per robot and VPPO update (authors)")
     minibatches: AtLeastOne = setting(8, "minibatches per epoch (authors)")
     epochs: AtLeastOne = setting(4, "passes over a rollout (authors)")
-    gamma: Share = setting(0.99, "discount (authors)")
+    gamma: Share = setting(0.99, "discount γ (authors)")
     gae_lambda: Share = setting(0.95, "λ of GAE (authors)")
     clip: Positive = setting(0.2, "PPO's ratio and value clip (authors)")
     value_coef: NotNegative = setting(2.0, "weight of the value loss (authors)")
     entropy_coef: NotNegative = setting(0.0, "weight of the entropy bonus (authors)")
     max_grad_norm: Positive = setting(1.0, "largest norm of a gradient (authors)")
     learning_rate: Positive = setting(1e-3, "Adam's step size (authors: 1e-3; humanoid 3e-4)")
-    target_kl: Positive = setting(0.008, "nats; a copy stops its epochs beyond it (authors)")
+    target_kl: Positive = setting(
+        0.008, "the most KL divergence, nats; a copy that exceeds it stops its epochs (authors)"
+    )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -120,7 +128,7 @@ class Bonus:
     """The measure bonus (eq. 2)."""
 
     bonus_scope: Literal["episode", "rollout"] = setting(
-        "episode", "the bonus reads the measure of a step's episode, or of its rollout (released program)"
+        "episode", "whose measure the bonus reads: that of a step's episode, or of its rollout (released program)"
     )
     bonus_p: NotNegative = setting(0.5, "p of eq. 2, reward per step (paper)")
     bonus_q: NotNegative = setting(0.5, "q of eq. 2, reward per step (paper; its own study prefers 1)")
@@ -129,7 +137,7 @@ class Bonus:
 
 @dataclass(frozen=True, config=STRICT)
 class Reward:
-    """The reward models; each reads the settings that bear its name and the common ones."""
+    """The reward models. Each reads the settings that bear its name and those of ``reward_``."""
 
     reward_hidden: Widths = setting((100, 100), "tanh layers of reward networks (authors; the paper's Table 5 is lost)")
     reward_learning_rate: Positive = setting(3e-4, "Adam's step size (authors; the paper's Table 5 is lost)")
@@ -144,14 +152,16 @@ class Reward:
     vail_beta: Literal["adaptive", "fixed"] = setting(
         "adaptive", "adaptive: dual ascent and a sampled latent (paper); fixed: 1 and the mean (released program)"
     )
-    vail_information: NotNegative = setting(0.5, "I_c, nats that VAIL's bottleneck lets through (Peng et al., 2018)")
+    vail_information: NotNegative = setting(
+        0.5, "I_c, the most information that VAIL's bottleneck should let through, nats (Peng et al., 2018)"
+    )
     vail_beta_rate: Positive = setting(1e-5, "dual ascent's step size (Peng et al., 2018)")
     vail_latent: AtLeastOne = setting(128, "size of VAIL's latent z (Peng et al., 2018)")
     giril_steps: AtLeastOne = setting(5000, "steps of GIRIL's training before the run (ours)")
     giril_learning_rate: Positive = setting(3e-4, "Adam's step size for GIRIL (ours; as the other reward models')")
     giril_action_weight: NotNegative = setting(1.0, "α of eq. 9 (ours; the paper's Table 7 is lost)")
-    pwil_alpha: Positive = setting(5.0, "PWIL's largest reward per step (Dadashi et al., 2021)")
-    pwil_beta: Positive = setting(5.0, "how fast PWIL's reward falls with the cost (Dadashi et al., 2021)")
+    pwil_alpha: Positive = setting(5.0, "α of PWIL: the largest reward per step (Dadashi et al., 2021)")
+    pwil_beta: Positive = setting(5.0, "β of PWIL: how fast the reward falls with the cost (Dadashi et al., 2021)")
     pwil_coupling: Literal["episode", "step"] = setting(
         "episode", "expert mass is used up over an episode, or restored at each step (released program)"
     )

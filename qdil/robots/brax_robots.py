@@ -100,13 +100,13 @@ def _constants_on_this_host() -> Iterator[None]:
         mjx.put_model = original
 
 
-def _traced_once(function: Callable[..., Any], *like: Any) -> tuple[Callable[..., Any], Any]:
-    """``function`` traced once, for arguments shaped ``like`` these, and the shapes of its results.
+def _traced_once(function: Callable[..., Any], *template: Any) -> tuple[Callable[..., Any], Any]:
+    """``function`` traced once, for arguments shaped like ``template``, and the shapes of its results.
 
     The returned function replays that trace. Without it ``jax.jit`` would trace Brax, which takes a second, once inside
     and once outside a device mesh.
     """
-    trace, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
+    trace, shapes = jax.make_jaxpr(function, return_shape=True)(*template)
     replayed = jaxpr_as_fun(trace)
 
     def replay(*args: Any) -> Any:
@@ -191,9 +191,9 @@ def _materialise(mask: jax.Array) -> jax.Array:
     return jnp.sqrt(mask.astype(jnp.float32)) > 0.5
 
 
-def _batch_rule(step: Step, *like: Any) -> Step:
-    """``step``, for arguments shaped ``like`` these, whose ``jax.vmap`` is ``batch_last`` of it."""
-    single, batch = custom_vmap(step), batch_last(step, *like)
+def _batch_rule(step: Step, *template: Any) -> Step:
+    """``step``, for arguments shaped like ``template``, whose ``jax.vmap`` is ``batch_last`` of it."""
+    single, batch = custom_vmap(step), batch_last(step, *template)
 
     @single.def_vmap
     def over_robots(count: int, is_batched: Any, *args: Any) -> tuple[Any, Any]:

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from probes import transitions
 
-from qdil.imitation.bonus import episode_measures, is_empty, measure_bonus
+from qdil.config import choices
+from qdil.imitation.bonus import SCOPES, episode_measures, is_empty, measure_bonus
 from qdil.qd import archive
 
 TIME, ENVS, BEFORE = 9, 4, 5  # steps in a rollout, robots, steps that were taken before it
@@ -38,6 +39,10 @@ def cut_rollout(proxy, ended):
     kept = {"proxy": proxy, "measures_so_far": so_far, "terminated": fell, "truncated": ended & ~fell}
     rollout = transitions(TIME, envs, k=k, **{name: values[-TIME:] for name, values in kept.items()})
     return rollout, expected[-TIME:]
+
+
+def test_every_scope_that_may_be_set_is_there():
+    assert set(SCOPES) == set(choices("bonus_scope"))
 
 
 def test_episode_measures_by_hand():

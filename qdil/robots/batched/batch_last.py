@@ -37,13 +37,13 @@ Rule = Callable[[JaxprEqn, Sequence[Value], int], jax.Array]  # (operation, its 
 RULES: dict[str, Rule] = {}  # by the name of the operation's primitive
 
 
-def batch_last(function: Callable[..., Any], *like: Any) -> Callable[..., Any]:
-    """The function of E robots' arrays that applies ``function`` to each robot; ``like`` gives one robot's shapes.
+def batch_last(function: Callable[..., Any], *template: Any) -> Callable[..., Any]:
+    """The function of E robots' arrays that applies ``function`` to each robot; ``template`` gives one robot's shapes.
 
     As with ``jax.vmap(function)``, its arguments and results are trees of arrays with axis (E) in front, here of all of
     them; they are transposed at its beginning and end. Results differ from ``jax.vmap``'s by rounding only.
     """
-    trace, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
+    trace, shapes = jax.make_jaxpr(function, return_shape=True)(*template)
     consts = [np.asarray(const) for const in trace.consts]
 
     def batched(*args: Any) -> Any:
