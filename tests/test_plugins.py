@@ -48,7 +48,7 @@ def fresh(monkeypatch):
     monkeypatch.setattr(methods, "_BASES", dict(methods._BASES))
     monkeypatch.setattr(register, "_ROBOTS", dict(register._ROBOTS))
     monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.delenv(plugins.VARIABLE, raising=False)
+    monkeypatch.setenv(plugins.VARIABLE, "")  # so that it is restored, too
     plugins.load.cache_clear()
     modules = set(sys.modules)
     yield
