@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.extend.core import jaxpr_as_fun
 
@@ -71,6 +72,15 @@ def model(robot: Robot) -> Any:
     return _brax_env(robot, BACKENDS[0]).sys.mj_model
 
 
+def first_positions(robot: Robot) -> np.ndarray:
+    """Joint positions (nq,) in which episodes begin, without their small random change. Raises as ``model``.
+
+    They may differ from ``model(robot).qpos0``: the ant begins with bent legs.
+    """
+    return np.asarray(_brax_env(robot, BACKENDS[0]).sys.init_q, np.float64)
+
+
+@cache
 def _brax_env(robot: Robot, backend: str) -> Any:
     if robot.brax_env is None:
         raise ConfigError(f"robot '{robot.name}' is an environment of your own, so it has no model to draw.")

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from qdil.robots import register
-from qdil.robots.brax_robots import foot_links, model
+from qdil.robots.brax_robots import first_positions, foot_links, model
 
 
 class Shapes(NamedTuple):
@@ -47,8 +47,10 @@ CAPSULE, SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_
 @cache
 def first_pose(name: str) -> Pose:
     """The pose in which a robot's episodes begin, without the small random change of each episode."""
-    mj = model(register.find(name))
+    robot = register.find(name)
+    mj = model(robot)
     data = mujoco.MjData(mj)
+    data.qpos[:] = first_positions(robot)
     mujoco.mj_kinematics(mj, data)
     return Pose(data.xpos[1:].copy(), data.xquat[1:].copy())
 

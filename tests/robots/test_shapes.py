@@ -19,6 +19,7 @@ ROBOTS = [robot.name for robot in register.BUILT_IN]
 def test_capsules_lie_where_mujoco_puts_them(name):
     model = brax_robots.model(register.find(name))
     data = mujoco.MjData(model)
+    data.qpos[:] = brax_robots.first_positions(register.find(name))
     mujoco.mj_kinematics(model, data)
     robot = shapes.shapes(name)
     ends = shapes.placed(robot, shapes.first_pose(name))
