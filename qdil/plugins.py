@@ -1,8 +1,8 @@
-"""A user's own modules: where reward models and robots that are not ours are registered.
+"""Modules of a user's own, which register reward models (``qdil.methods``) or robots (``qdil.robots.register``).
 
-A module is loaded if an installed package names it in the entry-point group ``qdil.plugins``, or if the command line
-names it with ``--import``. That option sets the variable ``QDIL_IMPORT``, so that notebooks and the jobs of a sweep,
-which are processes of their own, load the module too.
+``load`` imports a module if an installed package names it in the entry-point group ``qdil.plugins``, or if the command
+line names it with ``--import``. That option sets the variable ``QDIL_IMPORT``, so that notebooks and the jobs of a
+sweep, which run in processes of their own, import the module too.
 """
 
 import os
@@ -18,26 +18,36 @@ VARIABLE = "QDIL_IMPORT"  # names of modules, separated by commas
 
 
 def request(modules: list[str]) -> None:
-    """Have ``modules`` loaded, in this process and in those that it starts."""
-    wanted = [name for name in os.environ.get(VARIABLE, "").split(",") if name]
-    os.environ[VARIABLE] = ",".join(dict.fromkeys([*wanted, *modules]))
+    """Ask for ``modules`` by name: the next ``load`` imports them, in this process and in those that it starts."""
+    os.environ[VARIABLE] = ",".join(dict.fromkeys([*_requested(), *modules]))
     load.cache_clear()
+
+
+def _requested() -> list[str]:
+    return [name for name in os.environ.get(VARIABLE, "").split(",") if name]
 
 
 @cache
 def load() -> None:
-    """Import every plugin, once. Raises ConfigError, in one sentence, for one that cannot be imported."""
+    """Import every module that is asked for, once per process.
+
+    A module is looked for where Python looks for all modules, and then in the working directory. Raises ConfigError, in
+    one sentence that names it, for a module that cannot be imported or that registers something impossible.
+    """
     for entry in entry_points(group=ENTRY_POINTS):
         try:
             entry.load()
-        except Exception as error:  # whatever a user's module may raise
-            raise ConfigError(
-                f"the installed plugin '{entry.name}' cannot be loaded ({error!r}): mend or uninstall its package."
-            ) from error
-    for name in [name for name in os.environ.get(VARIABLE, "").split(",") if name]:
+        except Exception as error:  # a user's module may raise anything
+            raise _refusal(f"the installed plugin '{entry.name}'", error) from error
+    for name in _requested():
         if os.getcwd() not in sys.path:
-            sys.path.append(os.getcwd())  # the folder in which the reader works, wherever the command was installed
+            sys.path.append(os.getcwd())  # the command ``qdil``, unlike ``python -m qdil``, does not look there
         try:
             import_module(name)
         except Exception as error:
-            raise ConfigError(f"the module '{name}' named by --import cannot be loaded ({error!r}).") from error
+            raise _refusal(f"the module '{name}' named by --import", error) from error
+
+
+def _refusal(what: str, error: Exception) -> ConfigError:
+    reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return ConfigError(f"{what} cannot be loaded ({' '.join(reason.split()).rstrip('.')}).")

@@ -7,7 +7,7 @@ import numpy as np
 from qdil.config import make_config
 from qdil.imitation.reward_model import Demonstrations, RewardModel, reward_model
 from qdil.robots.environment import Environment, Outcome, RobotState
-from qdil.types import ObsStats, RewardContext, Transitions
+from qdil.types import Normaliser, ObsStats, RewardContext, Transitions
 
 SPEED_LIMIT = 1.0  # actions are clipped to ± this, as every robot does
 
@@ -74,7 +74,7 @@ def obs_stats(mean, std) -> ObsStats:
 
 OBS, ACTIONS, PROXIES = 3, 2, 2
 ROBOT = counter(4.0)._replace(obs_size=OBS, action_size=ACTIONS)  # for its widths
-STATS = obs_stats([1.0, -2.0, 0.0], [2.0, 0.5, 1.0])
+STATS = Normaliser(jnp.array([1.0, -2.0, 0.0]), jnp.array([2.0, 0.5, 1.0]))
 CONTEXT = RewardContext(STATS, jnp.zeros((4, 4), bool))
 
 

@@ -1,29 +1,40 @@
 """Settings: what the paper and its authors used, and one plain sentence for whatever cannot work."""
 
 import json
-from dataclasses import asdict, fields, replace
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError
+from pathlib import Path
 
 import pytest
 
 from qdil.config import (
     BUDGETS,
-    ROBOTS,
+    GROUP_OF,
+    IDENTITY,
+    SPEED_ONLY,
     Config,
-    ConfigError,
+    change,
     check,
+    choices,
+    descriptions,
+    flat,
     from_json,
     make_config,
     parse_settings,
     settings_help,
     to_json,
+    value_of,
 )
-from qdil.methods import Method, method_names, parse_method
+from qdil.errors import ConfigError
+from qdil.methods import method_names, parse_method
+from qdil.robots.register import PAPER_ROBOTS
 
 PAPER = {
     "actor_hidden": (128, 128),
     "critic_hidden": (256, 256),
     "num_envs": 3000,
-    "window": 128,
+    "rollout_length": 128,
     "episode_length": 1000,
     "minibatches": 8,
     "epochs": 4,
@@ -78,46 +89,28 @@ def refused(call, *args, **changes) -> str:
     ],
 )
 def test_full_budget_is_the_papers(env, method, changes):
-    config = asdict(make_config(env, method, "full"))
+    config = flat(make_config(env, method, "full"))
     assert {name: config[name] for name in PAPER} == PAPER | changes
 
 
-@pytest.mark.parametrize("env", ROBOTS)
+@pytest.mark.parametrize("env", [*PAPER_ROBOTS, "hopper", "ant"])
 @pytest.mark.parametrize("budget", BUDGETS)
-@pytest.mark.parametrize("method", method_names())
-def test_every_method_is_allowed_on_every_robot_at_every_budget(env, budget, method):
-    config = make_config(env, method, budget, seed=3)
-    assert (config.env, config.method, config.budget, config.seed) == (env, method, budget, 3)
-    check(config)
-
-
-@pytest.mark.parametrize(
-    ("name", "method"),
-    [
-        ("true", Method("true", False, False)),
-        ("mbo-true", Method("true", False, True)),
-        ("gail", Method("gail", False, False)),
-        ("mcond-gail", Method("gail", True, False)),
-        ("mbo-gail", Method("gail", False, True)),
-        ("mconbo-gail", Method("gail", True, True)),
-    ],
-)
-def test_methods_come_apart(name, method):
-    assert parse_method(name) == method
-    assert name in method_names()
-
-
-@pytest.mark.parametrize("name", ["", "gial", "mconbo", "mconbo-", "mbo-mcond-gail", "GAIL", "gail-mbo", "mcond-true"])
-def test_unknown_methods_are_refused(name):
-    sentence = refused(parse_method, name)
-    assert f"'{name}'" in sentence and "true" in sentence
+def test_every_method_is_allowed_on_every_robot_at_every_budget(env, budget):
+    for method in method_names():
+        config = make_config(env, method, budget, seed=3)
+        assert (config.env, config.method, config.budget, config.seed) == (env, method, budget, 3)
+        check(config)
 
 
 def test_unknown_names_are_refused_with_what_would_be_right():
-    assert "walker2d" in refused(make_config, "ant", "gail", "smoke")
+    assert "walker2d" in refused(make_config, "dog", "gail", "smoke")
     assert "laptop" in refused(make_config, "walker2d", "gail", "huge")
-    assert "mconbo-gail" in refused(make_config, "walker2d", "bc", "smoke")
+    assert "gail, vail" in refused(make_config, "walker2d", "bc", "smoke")
+    assert "mconbo-gail" in refused(make_config, "walker2d", "mconbo-gial", "smoke")
     assert "'widnow'" in refused(make_config, "walker2d", "gail", "smoke", widnow=3)
+    assert "gae_lambda" in refused(make_config, "walker2d", "gail", "smoke", gae_lamda=0.9)
+    assert "rollout_length" in refused(make_config, "walker2d", "gail", "smoke", window=3)
+    assert "'widnow'" in refused(change, make_config("walker2d", "gail", "smoke"), widnow=3)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +119,7 @@ def test_unknown_names_are_refused_with_what_would_be_right():
         ("minibatches", 5),
         ("num_envs", 25),
         ("iterations", 0),
-        ("window", -16),
+        ("rollout_length", -16),
         ("cells", 0),
         ("sigma0", 0.0),
         ("sigma0", float("nan")),
@@ -147,15 +140,54 @@ def test_unknown_names_are_refused_with_what_would_be_right():
         ("critic_hidden", (64, 0)),
         ("backend", "bullet"),
         ("selection", "both"),
+        ("iterations", "7"),
+        ("iterations", 2.0),
+        ("iterations", True),
+        ("gamma", "0.9"),
+        ("gamma", None),
+        ("sigma0", True),
+        ("sample_actions", 1),
+        ("sample_actions", "true"),
+        ("actor_hidden", 64),
+        ("actor_hidden", (64, 0.5)),
+        ("backend", 3),
+        ("episode_length", "short"),
     ],
 )
 def test_what_cannot_work_is_refused_by_name(name, value):
-    assert refused(make_config, "walker2d", "gail", "smoke", **{name: value}).startswith(f"{name}=")
+    for method in ("gail", "airl"):  # the second has a threshold that follows from other settings
+        assert refused(make_config, "walker2d", method, "smoke", **{name: value}).startswith(f"{name}=")
+
+
+def test_refusals_say_what_would_be_right():
+    def sentence(**changes):
+        return refused(make_config, "walker2d", "gail", "smoke", **changes)
+
+    assert sentence(iterations=0) == "iterations=0 must be at least 1."
+    assert sentence(iterations="7") == "iterations='7' must be an integer."
+    assert sentence(sample_actions=1) == "sample_actions=1 must be true or false."
+    assert sentence(gamma=float("nan")) == "gamma=nan must be a finite number."
+    assert sentence(minibatches=5) == "minibatches=5 must divide rollout_length=16."
+    assert sentence(selection="both") == "selection=both must be one of learned, true."
+    assert "divisible by 3," in sentence(num_envs=25) and "2 measures of walker2d" in sentence(num_envs=25)
+    assert "divisible by 2," in refused(make_config, "hopper", "gail", "smoke", num_envs=25)
 
 
 def test_changes_go_on_top_of_the_budget():
     config = make_config("walker2d", "gail", "laptop", sigma0=0.25, actor_hidden=(7,))
-    assert config == replace(make_config("walker2d", "gail", "laptop"), sigma0=0.25, actor_hidden=(7,))
+    plain = make_config("walker2d", "gail", "laptop")
+    assert flat(config) == flat(plain) | {"sigma0": 0.25, "actor_hidden": (7,)}
+    assert config == change(plain, sigma0=0.25, actor_hidden=(7,)) != plain
+    assert (config.ppga.sigma0, config.ppo.actor_hidden) == (0.25, (7,))
+
+
+def test_a_configuration_is_a_value():
+    config, same, other = (make_config("walker2d", "gail", "smoke", gamma=gamma) for gamma in (0.9, 0.9, 0.8))
+    assert config == same and hash(config) == hash(same) and config != other and len({config, same, other}) == 2
+    assert config.ppo == same.ppo != other.ppo and config.ppga == other.ppga
+    for holder, name in ((config, "seed"), (config.ppo, "gamma")):
+        with pytest.raises(FrozenInstanceError):
+            setattr(holder, name, 1)
 
 
 def test_settings_are_typed():
@@ -174,7 +206,21 @@ def test_settings_are_typed():
 
 @pytest.mark.parametrize(
     "pair",
-    ["sigma0", "sigma=1", "=1", "", "iterations=1.5", "sigma0=big", "actor_hidden=64;64", "sample_actions=yes"],
+    [
+        "sigma0",
+        "sigma=1",
+        "=1",
+        "",
+        "iterations=1.5",
+        "sigma0=big",
+        "actor_hidden=64;64",
+        "sample_actions=yes",
+        "window=3",
+        "protocol=mine",
+        "gamma=2",
+        "devices=two",
+        "selection=",
+    ],  # fmt: skip
 )
 def test_settings_that_do_not_fit_are_refused(pair):
     assert f"--set {pair}" in refused(parse_settings, [pair])
@@ -188,13 +234,109 @@ def test_what_has_its_own_option_is_no_setting(pair):
 def test_help_names_every_setting():
     text = settings_help()
     explained = {line.split("=")[0].strip() for line in text.splitlines()[1:]}
-    assert explained == {f.name for f in fields(Config)} - {"env", "method", "budget", "seed"}
+    assert explained == set(GROUP_OF) - set(IDENTITY) == set(descriptions())
+
+
+# config.json
+
+
+def other_value(name, value):
+    """A value that differs from a setting's default and that the setting can take."""
+    if name == "backend":
+        return "mjx"
+    if choices(name):
+        return next(word for word in choices(name) if word != value)
+    if isinstance(value, bool):
+        return not value
+    chosen = {"num_envs": 48, "rollout_length": 32, "minibatches": 4}
+    chosen |= {"actor_hidden": (8, 4), "critic_hidden": (8,), "reward_hidden": (7,)}
+    return chosen.get(name) or (value / 2 if isinstance(value, float) and value else type(value)(value + 1))
+
+
+@pytest.mark.parametrize("name", descriptions())
+def test_every_setting_survives_json(name):
+    plain = make_config("walker2d", "mcond-gail", "smoke", seed=5)
+    value = other_value(name, value_of(plain, name))
+    config = change(plain, **{name: value})
+    again = from_json(json.loads(json.dumps(to_json(config))))
+    assert again == config != plain and value_of(again, name) == value
+    assert type(value_of(again, name)) is type(value_of(plain, name))
 
 
 @pytest.mark.parametrize("budget", BUDGETS)
 def test_json_round_trip(budget):
-    config = make_config("humanoid", "mcond-gail", budget, seed=5)
+    config = make_config("humanoid", "mcond-gail", budget, seed=5, reward_hidden=(7, 6))
     assert from_json(json.loads(json.dumps(to_json(config)))) == config
+
+
+def kept():
+    """The content of ``config.json`` as the first version wrote it: that of a run kept in the repository."""
+    names = {"rollout_length": "window", "eval_chunk_steps": "eval_chunk", "eval_batch_size": "eval_tile"}
+    content = {names.get(n, n): v for n, v in to_json(make_config("walker2d", "mconbo-gail", "laptop")).items()}
+    del content["eval_chunks_per_sync"]
+    return content | {"window": 128, "eval_tile": 24, "bonus_scope": "window"}
+
+
+def test_old_names_are_read():
+    config = from_json(kept())
+    assert (config.ppo.rollout_length, config.evaluation.eval_batch_size) == (128, 24)
+    assert config.bonus.bonus_scope == "rollout" and config.evaluation.eval_chunk_steps == 25
+    assert config.evaluation.eval_chunks_per_sync == Config.evaluation.eval_chunks_per_sync
+
+
+RUNS = sorted(Path(__file__).parent.parent.glob("results/*/*/*/seed-*/config.json"))
+
+
+@pytest.mark.skipif(not RUNS, reason="no kept runs here")
+def test_kept_runs_are_read():
+    for path in RUNS:
+        content = json.loads(path.read_text())
+        config = from_json(content)
+        for name in set(content) & set(GROUP_OF):
+            assert to_json(config)[name] == content[name]
+        assert config.ppo.rollout_length == content.get("window", content.get("rollout_length"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"wings": 2}, "wings (unknown)"),
+        ({"gamma": None}, "gamma=None must be a number"),
+        ({"gamma": "0.9"}, "gamma='0.9' must be a number"),
+        ({"iterations": 1.0}, "iterations=1.0 must be an integer"),
+        ({"iterations": True}, "iterations=True must be an integer"),
+        ({"actor_hidden": 64}, "actor_hidden=64 must be integers"),
+        ({"actor_hidden": [64, "64"]}, "actor_hidden='64' must be"),
+        ({"selection": "both"}, "selection=both must be one of learned, true"),
+        ({"bonus_scope": "year"}, "bonus_scope=year must be one of episode, rollout"),
+        ({"env": "dog"}, "'dog'"),
+        ({"method": "gial"}, "'gial'"),
+    ],
+)
+def test_a_config_that_cannot_be_is_refused(changes, named):
+    content = to_json(make_config("walker2d", "gail", "smoke")) | changes
+    assert named in refused(from_json, content)
+
+
+@pytest.mark.parametrize("name", GROUP_OF)
+def test_only_settings_of_speed_may_be_missing(name):
+    content = to_json(make_config("walker2d", "gail", "smoke"))
+    del content[name]
+    if name in SPEED_ONLY:
+        from_json(content)
+    else:
+        assert f"{name} (missing)" in refused(from_json, content)
+
+
+@pytest.mark.physics
+def test_reading_settings_needs_no_jax():
+    program = """
+import sys, qdil.config, qdil.methods, qdil.plugins, qdil.robots.register
+qdil.config.make_config("ant", "mconbo-gail", "laptop")
+print([name for name in ("jax", "brax", "mujoco", "numpy") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 # The released program's choices
@@ -203,7 +345,7 @@ def test_json_round_trip(budget):
 RELEASED_BY_HAND = {
     "selection": "true",
     "walk_weights": "fitness",
-    "bonus_scope": "window",
+    "bonus_scope": "rollout",
     "bonus_p": 0.0,
     "bonus_q": 2.0,
     "expert_alignment": "shifted",
@@ -217,17 +359,17 @@ RELEASED_BY_HAND = {
 @pytest.mark.parametrize("budget", BUDGETS)
 @pytest.mark.parametrize("method", ["true", "mconbo-gail", "vail-obs", "mbo-airl"])
 def test_the_released_protocol_changes_what_it_lists_and_nothing_else(budget, method):
-    usual, released = (asdict(make_config("humanoid", method, budget, protocol=p)) for p in ("paper", "released"))
-    assert usual == asdict(make_config("humanoid", method, budget))
+    usual, released = (flat(make_config("humanoid", method, budget, protocol=p)) for p in ("paper", "released"))
+    assert usual == flat(make_config("humanoid", method, budget))
     assert released == usual | RELEASED_BY_HAND | {"protocol": "released"}
     assert all(usual[name] != value for name, value in RELEASED_BY_HAND.items())
 
 
 @pytest.mark.parametrize("name", list(RELEASED_BY_HAND))
 def test_an_explicit_setting_wins_over_the_protocol(name):
-    papers = asdict(make_config("walker2d", "mconbo-vail", "smoke"))[name]
+    papers = value_of(make_config("walker2d", "mconbo-vail", "smoke"), name)
     config = make_config("walker2d", "mconbo-vail", "smoke", protocol="released", **{name: papers})
-    assert {n: asdict(config)[n] for n in RELEASED_BY_HAND} == RELEASED_BY_HAND | {name: papers}
+    assert {n: value_of(config, n) for n in RELEASED_BY_HAND} == RELEASED_BY_HAND | {name: papers}
 
 
 # Rewards of either sign
@@ -236,14 +378,14 @@ def test_an_explicit_setting_wins_over_the_protocol(name):
 SIGNED = ("airl", "maxent", "zero")
 
 
-@pytest.mark.parametrize("env", ROBOTS)
+@pytest.mark.parametrize("env", PAPER_ROBOTS)
 @pytest.mark.parametrize(("budget", "length"), [("full", 1000), ("laptop", None), ("smoke", 50)])
-@pytest.mark.parametrize("method", method_names())
-def test_archives_of_rewards_that_may_be_negative_start_low(env, budget, length, method):
+def test_archives_of_rewards_that_may_be_negative_start_low(env, budget, length):
     length = length or (200 if env == "halfcheetah" else 300)
-    config = make_config(env, method, budget)
-    assert config.simulation.episode_length == length
-    assert (config.ppga.threshold_min == -10.0 * length) == (parse_method(method).base in SIGNED)
+    for method in method_names():
+        config = make_config(env, method, budget)
+        assert config.simulation.episode_length == length
+        assert (config.ppga.threshold_min == -10.0 * length) == (parse_method(method).base.name in SIGNED)
 
 
 def test_the_low_start_follows_the_episodes_length_and_gives_way():
@@ -261,7 +403,9 @@ def test_the_low_start_follows_the_episodes_length_and_gives_way():
 @pytest.mark.parametrize("wrong", ["", "neither", "Paper", "raw,normalised", None])
 def test_choices_refuse_what_is_none_of_theirs(name, wrong):
     sentence = refused(make_config, "walker2d", "gail", "smoke", **{name: wrong})
-    assert sentence.startswith(f"{name}=") and str(getattr(Config, name)) in sentence
+    assert sentence.startswith(f"{name}=")
+    if name != "backend" or wrong is not None:
+        assert value_of(make_config("walker2d", "gail", "full"), name) in sentence
 
 
 @pytest.mark.parametrize(
@@ -280,3 +424,36 @@ def test_choices_refuse_what_is_none_of_theirs(name, wrong):
 )
 def test_reward_settings_that_cannot_work_are_refused(name, value):
     assert refused(make_config, "walker2d", "vail", "smoke", **{name: value}).startswith(f"{name}=")
+
+
+# Robots of any number of measures
+
+
+def cells_and_envs(env, budget, method="true"):
+    config = make_config(env, method, budget)
+    return config.ppga.cells, config.ppo.num_envs
+
+
+@pytest.mark.parametrize(
+    ("budget", "env", "cells", "envs"),
+    [
+        ("smoke", "walker2d", 5, 24), ("smoke", "humanoid", 5, 24), ("smoke", "halfcheetah", 5, 24),
+        ("laptop", "walker2d", 20, 192), ("laptop", "humanoid", 20, 192), ("laptop", "halfcheetah", 20, 96),
+        ("full", "walker2d", 50, 3000), ("full", "humanoid", 50, 3000), ("full", "halfcheetah", 50, 3000),
+    ],
+)  # fmt: skip
+def test_the_papers_robots_keep_their_budgets(budget, env, cells, envs):
+    assert cells_and_envs(env, budget) == (cells, envs)
+
+
+@pytest.mark.parametrize("env", ["hopper", "ant"])
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_other_robots_get_counts_near_the_budgets(env, budget):
+    k = {"hopper": 1, "ant": 4}[env]
+    (usual_cells, usual_envs), (cells, envs) = cells_and_envs("walker2d", budget), cells_and_envs(env, budget)
+    assert envs % (1 + k) == 0 and envs % 4 == 0  # its copies of the policy, four devices
+    assert usual_envs <= envs < usual_envs + 4 * (1 + k)
+    if k == 1:
+        assert cells == usual_cells
+    else:
+        assert 0.5 < cells**k / usual_cells**2 < 2

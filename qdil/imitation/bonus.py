@@ -1,4 +1,7 @@
-"""The measure bonus (eq. 2, Algorithm 3): p + q·1[m ∈ A_e], the same for every step of an episode."""
+"""The measure bonus r_diversity (eq. 2, Algorithm 3): p + q·1[m ∈ A_e], the same for every step of an episode.
+
+m is the measure of the episode, A_e the part of measure space whose archive cells are empty.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -8,37 +11,45 @@ from qdil.types import Transitions
 
 
 def is_empty(occupied: jax.Array, measures: jax.Array) -> jax.Array:
-    """1[m ∈ A_e] for ``measures`` (…, k) in [0, 1]^k and the grid ``occupied`` (cells, …) of filled cells."""
+    """1[m ∈ A_e] (…,), 0 or 1, for ``measures`` (…, k) in [0, 1]; ``occupied`` is the bool grid of filled cells.
+
+    ``occupied`` has k axes of ``cells`` each. A measure on a grid line belongs to the upper cell, as in the archive.
+    """
     index = cell_index(measures, occupied.shape, jnp)
     return 1.0 - occupied[tuple(jnp.moveaxis(index, -1, 0))].astype(jnp.float32)
 
 
 def episode_measures(transitions: Transitions) -> jax.Array:
-    """(T, E, k): the measure of the episode that each step belongs to.
+    """(T, E, k): for every step, the measure of its episode: the mean of δ over the steps of that episode.
 
-    A window may hold several episodes of a robot: a step takes the mean of its own. The episode that the
-    window cuts counts with its mean so far; one begun in an earlier window with all its steps.
+    A rollout may hold several episodes of one robot. An episode that began in an earlier rollout counts with all its
+    steps. An episode that goes on after this rollout counts with its mean so far.
     """
 
-    def backwards(of_later, now):
-        so_far, ended = now
-        mine = jnp.where(ended[:, None], so_far, of_later)
-        return mine, mine
+    def backwards(later: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        so_far, ended = step
+        measure = jnp.where(ended[:, None], so_far, later)
+        return measure, measure
 
-    cut = transitions.measures_so_far[-1]
-    return jax.lax.scan(backwards, cut, (transitions.measures_so_far, transitions.ended), reverse=True)[1]
+    unfinished = transitions.measures_so_far[-1]
+    steps = (transitions.measures_so_far, transitions.ended)
+    return jax.lax.scan(backwards, unfinished, steps, reverse=True)[1]
 
 
-def window_measures(transitions: Transitions) -> jax.Array:
-    """(T, E, k): the mean of δ over the whole window, across resets, as in the authors' released program."""
+def rollout_measures(transitions: Transitions) -> jax.Array:
+    """(T, E, k): the mean of δ over the whole rollout, across resets, as in the authors' released program."""
     return jnp.broadcast_to(jnp.mean(transitions.proxy, axis=0), transitions.proxy.shape)
 
 
-SCOPES = {"episode": episode_measures, "window": window_measures}
+SCOPES = {"episode": episode_measures, "rollout": rollout_measures}  # by the values of ``bonus_scope``
 
 
 def measure_bonus(
     transitions: Transitions, occupied: jax.Array, p: jax.Array | float, q: jax.Array | float, scope: str = "episode"
 ) -> jax.Array:
-    """r_diversity (T, E) of eq. 2 for every step of a window; ``scope`` "episode" (the paper's) or "window"."""
+    """r_diversity (T, E) of eq. 2, reward per step, for every step of a rollout.
+
+    ``p`` and ``q`` ≥ 0 weigh being alive and reaching empty cells. ``scope`` says whose measure m is: the step's
+    "episode" (the paper's) or its "rollout" (the released program's). Raises KeyError for any other scope.
+    """
     return p + q * is_empty(occupied, SCOPES[scope](transitions))

@@ -1,6 +1,8 @@
-"""The fitness reward (eq. 4): a reward model's reward plus the measure bonus; and a reward model's round of learning.
+"""The fitness reward that VPPO maximises (eq. 4), episode scores, and one round of the reward model's learning.
 
-Candidates are scored by the reward model alone (Algorithm 1, line 11): ``score_chunk``.
+The fitness reward is the reward model's reward plus the measure bonus. Candidates, however, are scored by the reward
+model alone (Algorithm 1, line 11): ``score_chunk``. Not to be confused with the true reward, which is the environment's
+own and which no imitating model reads.
 """
 
 import jax
@@ -25,14 +27,15 @@ def compute_reward(
 ) -> tuple[RewardMemory, jax.Array]:
     """The fitness reward (T, E) of a training rollout: the model's reward plus the measure bonus (eq. 4).
 
-    ``bonus`` is (p, q) of eq. 2, (0, 0) for methods without; ``scope`` as in ``measure_bonus``.
+    ``bonus`` (2,) is (p, q) of eq. 2, and (0, 0) for methods without the bonus; ``scope`` as in ``measure_bonus``.
+    Also returns the model's memory after the rollout.
     """
     memory, rewards = model.reward(reward, memory, context, transitions)
     return memory, rewards + measure_bonus(transitions, context.occupied, bonus[0], bonus[1], scope)
 
 
 def begin_scoring(model: RewardModel, reward: RewardState, num_episodes: int) -> RewardSum:
-    """A sum of zero for each of ``num_episodes`` episodes that are about to begin."""
+    """A sum of zero, and a fresh memory, for each of ``num_episodes`` episodes (E)."""
     return RewardSum(model.begin(reward, num_episodes), jnp.zeros(num_episodes))
 
 
@@ -44,9 +47,10 @@ def score_chunk(
     transitions: Transitions,
     counted: jax.Array,
 ) -> RewardSum:
-    """Add the reward model's own reward (Algorithm 1, line 11) over the counted steps (C, T, E) of C chunks.
+    """Add the model's own reward, without bonus (Algorithm 1, line 11), for C chunks of evaluation steps.
 
-    Robots skipped in a chunk keep their reward-model memory unchanged.
+    ``transitions`` have axes (C, T, E) in front; ``counted`` (C, T, E) bool marks the steps to add. Robots skipped in a
+    chunk keep their reward-model memory unchanged.
     """
 
     def chunk(so_far: RewardSum, steps: tuple[Transitions, jax.Array]) -> tuple[RewardSum, None]:
@@ -66,9 +70,10 @@ def update_reward(
     demos: Demonstrations,
     transitions: Transitions,
 ) -> tuple[RewardState, dict[str, jax.Array]]:
-    """One round of the reward model's learning from demonstrations and fresh steps (Algorithm 1, line 18).
+    """One round of the model's learning from demonstrations and fresh policy steps (T, E) (Algorithm 1, line 18).
 
-    A round that ends in numbers that are not finite is discarded and reported as ``reward_rolled_back``.
+    If the round produces a number that is not finite, its result is discarded and ``reward_rolled_back`` in the
+    returned measurements is 1.
     """
     learned, info = model.update(key, reward, context, demos, transitions)
     healthy = all_finite(learned)

@@ -1,4 +1,9 @@
-"""What a reward model is: a value of pure functions; over what inputs; and the transformations that make variants."""
+"""Reward models as values of pure functions, the inputs that they read, and the transformations that make variants.
+
+An author writes an ``InputModel``, a function of normalised inputs. ``over_inputs`` turns it into a ``RewardModel``,
+which reads transitions, and hides from it what a variant must not see. ``reward_model`` builds the one that a
+configuration names. Also known as a reward function or, in GAIL, as part of the discriminator.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -12,44 +17,47 @@ from qdil.rl.normalise import normalise_obs
 from qdil.robots.environment import Environment
 from qdil.types import Normaliser, RewardContext, RewardMemory, RewardState, Transitions
 
-Info = dict[str, jax.Array]  # measurements of a round of learning, by name
+Info = dict[str, jax.Array]  # measurements () of one round of learning, by name
 
 
 class Inputs(NamedTuple):
-    """What a learned reward may read of a step; expert and policy batches take the same form."""
+    """What a learned reward may read of a step; expert and policy batches have the same form.
+
+    The same type also holds the four widths as integers, where a model is built.
+    """
 
     obs: Any  # (…, O) s_t, normalised
-    action: Any  # (…, A) a_t in [-1, 1]; width 0 for observation-only models
+    action: Any  # (…, A) a_t in [-1, 1]; width 0 for observation-only models (-obs)
     next_obs: Any  # (…, O) s_{t+1}, normalised
     proxy: Any  # (…, k) δ(s_t); width 0 without measure conditioning
 
 
 class Demonstrations(NamedTuple):
-    """Expert steps, rows (N): state, action, next state and proxy of the same step."""
+    """Expert steps of all demonstrated episodes, one row per step (N): what belongs to the same step t."""
 
-    obs: jax.Array  # (N, O) raw
-    action: jax.Array  # (N, A); width 0 where the demonstrator's actions are not known
-    next_obs: jax.Array  # (N, O) raw
-    proxy: jax.Array  # (N, k)
+    obs: jax.Array  # (N, O) s_t as the robot reported it, not normalised
+    action: jax.Array  # (N, A) a_t; width 0 where the demonstrator's actions are not known
+    next_obs: jax.Array  # (N, O) s_{t+1}, not normalised
+    proxy: jax.Array  # (N, k) δ(s_t)
 
 
 def no_memory(state: RewardState, num_envs: int) -> RewardMemory:
-    """The memory of a model that remembers nothing within episodes."""
+    """``begin`` of a model that remembers nothing within episodes: no memory."""
     return ()
 
 
 def learns_nothing(key: jax.Array, state: RewardState, *data: Any) -> tuple[RewardState, Info]:
-    """The update of a model that learns before the run or not at all."""
+    """``update`` of a model that learns before the run or not at all: the same state, no measurements."""
     return state, {}
 
 
 class RewardModel(NamedTuple):
-    """r(s, a, s', δ) as a value. State and memory are pytrees of arrays; every function is pure.
+    """r(s, a, s', δ) as a value of four pure functions; state and memory are trees of arrays.
 
-    ``init(key, demonstrations) -> state``;
-    ``reward(state, memory, context, transitions) -> (memory, r)``, r (T, E) for transitions (T, E), without bonus;
-    ``begin(state, num_envs) -> memory``, what the model remembers within episodes (nothing for most);
-    ``update(key, state, context, demonstrations, transitions) -> (state, info)``, one round of learning.
+    ``init(key, demonstrations) -> state``: before the run; None for demonstrations if the model imitates nobody;
+    ``reward(state, memory, context, transitions) -> (memory, r)``: r (T, E) for transitions (T, E), without bonus;
+    ``begin(state, num_envs) -> memory``: what the model remembers within episodes, axis (E) in front; () for most;
+    ``update(key, state, context, demonstrations, transitions) -> (state, info)``: one round of learning.
     """
 
     init: Callable[[jax.Array, Demonstrations | None], RewardState]
@@ -66,19 +74,19 @@ class RewardModel(NamedTuple):
 class InputModel(NamedTuple):
     """A reward model as its author writes it: over ``Inputs`` alone. ``over_inputs`` makes it a ``RewardModel``.
 
-    ``init(key, expert) -> state`` with the demonstrations' rows (N);
-    ``reward(state, memory, inputs, ended) -> (memory, r)``, inputs (T, E), ``ended`` (T, E) True on an episode's last
-    step;
-    ``begin(state, num_envs) -> memory``;
-    ``update(key, state, expert, policy) -> (state, info)`` with expert rows (N) and policy steps (T, E).
+    ``init(key, expert) -> state``: before the run, from the demonstrations' inputs (N);
+    ``reward(state, memory, inputs, ended) -> (memory, r)``: r (T, E) for inputs (T, E); ``ended`` (T, E) is True on the
+    last step of an episode;
+    ``begin(state, num_envs) -> memory``: as in ``RewardModel``;
+    ``update(key, state, expert, policy) -> (state, info)``: one round from expert inputs (N), policy inputs (T, E).
     """
 
     init: Callable[[jax.Array, Inputs], RewardState]
     reward: Callable[[RewardState, RewardMemory, Inputs, jax.Array], tuple[RewardMemory, jax.Array]]
     begin: Callable[[RewardState, int], RewardMemory] = no_memory
     update: Callable[..., tuple[RewardState, Info]] = learns_nothing
-    # Whose mean and spread normalise observations, expert's and policy's alike: "running", the policy's own normaliser,
-    # which moves; or "expert", the demonstrations', which stays, for models that learn before the run or not at all.
+    # Whose mean and spread normalise both expert and policy observations: "running", the policy's, which change during
+    # the run; or "expert", the demonstrations', which do not, for models that learn before the run or not at all.
     normaliser: str = "running"
 
 
@@ -86,7 +94,7 @@ Select = Callable[[Inputs], Inputs]
 
 
 def hide(actions: bool, proxy: bool) -> Select:
-    """What a variant may see: without ``actions`` (eq. 20), without the ``proxy`` δ(s) (no measure conditioning)."""
+    """A function that narrows hidden inputs to width 0: ``actions`` (eq. 20), ``proxy`` (no measure conditioning)."""
 
     def select(inputs: Inputs) -> Inputs:
         action = inputs.action[..., :0] if actions else inputs.action
@@ -96,37 +104,37 @@ def hide(actions: bool, proxy: bool) -> Select:
 
 
 def policy_inputs(transitions: Transitions, normaliser: Normaliser) -> Inputs:
-    """Inputs of policy steps."""
+    """Inputs (T, E) of policy steps."""
     obs, next_obs = normalise_obs(normaliser, transitions.obs), normalise_obs(normaliser, transitions.next_obs)
     return Inputs(obs, transitions.action, next_obs, transitions.proxy)
 
 
 def expert_inputs(demos: Demonstrations, normaliser: Normaliser) -> Inputs:
-    """Inputs of expert steps, through the same normaliser as policy steps."""
+    """Inputs (N) of expert steps, by the same normaliser as policy steps."""
     obs, next_obs = normalise_obs(normaliser, demos.obs), normalise_obs(normaliser, demos.next_obs)
     return Inputs(obs, demos.action, next_obs, demos.proxy)
 
 
 def expert_normaliser(demos: Demonstrations) -> Normaliser:
-    """The demonstrations' own mean and spread; an observation that never changes there keeps a spread of 1."""
+    """The mean and spread (O,) of the demonstrations; the spread of an observation that never changes there is 1."""
     spread = jnp.std(demos.obs, axis=0)
     return Normaliser(jnp.mean(demos.obs, axis=0), jnp.where(spread < 1e-3, 1.0, spread))
 
 
 class _State(NamedTuple):
-    expert: Normaliser
-    inner: RewardState
+    expert: Normaliser  # of the demonstrations
+    inner: RewardState  # the state of the ``InputModel``
 
 
 def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> RewardModel:
-    """A ``RewardModel`` from one over inputs; ``select`` is what both expert and policy batches may show it.
+    """A ``RewardModel`` from an ``InputModel``; ``select`` hides what the variant must not see, on both sides.
 
-    ``raw_expert`` leaves expert observations as they were recorded, against normalised policy observations: a mistake
-    of the authors' released program (``expert_obs=raw``), for whoever wants to measure it.
+    ``raw_expert`` leaves expert observations as they were recorded, while policy observations are normalised: a mistake
+    of the authors' released program, kept so that it can be measured (``expert_obs=raw``).
     """
 
     def expert_rows(demos: Demonstrations, normaliser: Normaliser) -> Inputs:
-        # Inputs of the recorded numbers themselves, which the normaliser would clip.
+        # Not a normaliser of mean 0 and spread 1: it would clip the recorded numbers.
         recorded = Inputs(demos.obs, demos.action, demos.next_obs, demos.proxy)
         return select(recorded if raw_expert else expert_inputs(demos, normaliser))
 
@@ -160,7 +168,10 @@ def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> 
 
 
 def reward_model(config: Config, env: Environment) -> RewardModel:
-    """The reward model of ``config.method`` for a robot, without the measure bonus (``qdil.imitation.fitness``)."""
+    """The reward model of ``config.method`` for a robot, without the measure bonus (``qdil.imitation.fitness``).
+
+    Raises ConfigError for an unknown method.
+    """
     method = parse_method(config.method)
     if not method.base.imitates:
         return method.base.build(config)
@@ -175,5 +186,5 @@ def reward_model(config: Config, env: Environment) -> RewardModel:
 
 
 def features(inputs: Inputs) -> jax.Array:
-    """(s, a, δ) side by side, (…, F); what is hidden has width 0."""
+    """(s, a, δ) joined into one vector, (…, F); hidden inputs have width 0."""
     return jnp.concatenate([inputs.obs, inputs.action, inputs.proxy], axis=-1)

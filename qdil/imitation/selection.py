@@ -4,17 +4,21 @@ import numpy as np
 
 
 def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
-    """Rows of the best elites: as many as a fifth of the archive's cells (500 of the paper's 2500), best first."""
+    """Indices of the best elites by ``fitness`` (N,), best first.
+
+    There are as many as a fifth of the archive's ``cells``: 500 in the paper, of 2500.
+    """
     return np.argsort(-fitness, kind="stable")[: max(1, cells // 5)]
 
 
 def farthest_points(measures: np.ndarray, count: int) -> np.ndarray:
-    """Rows of ``count`` diverse ``measures`` (N, k): the first, then always the one farthest from all chosen.
+    """Indices (count,) of diverse ``measures`` (N, k): the first, then always the one farthest from all chosen ones.
 
-    Raises ValueError if there are fewer points than asked for.
+    "Farthest" means the largest distance to the nearest chosen point. Also known as farthest-first traversal. The paper
+    asks for demonstrations "as diverse as possible" and gives no rule. Raises ValueError if N < ``count``.
     """
     if len(measures) < count:
-        raise ValueError(f"{count} demonstrations were asked for, but only {len(measures)} elites are there.")
+        raise ValueError(f"{count} demonstrations were asked for, but there are only {len(measures)} elites.")
     chosen = [0]
     while len(chosen) < count:
         distances = np.linalg.norm(measures[:, None] - measures[chosen][None], axis=-1)
@@ -23,6 +27,6 @@ def farthest_points(measures: np.ndarray, count: int) -> np.ndarray:
 
 
 def select(fitness: np.ndarray, measures: np.ndarray, cells: int, count: int) -> np.ndarray:
-    """Rows of the ``count`` demonstrators: farthest points, from the best, among the top fifth."""
+    """Indices (count,) of the demonstrators: the best elite, then the farthest points among the top fifth."""
     pool = top_fifth(fitness, cells)
     return pool[farthest_points(measures[pool], count)]

@@ -1,4 +1,4 @@
-"""How reward models learn: random rows of both sides, Adam on a loss."""
+"""How reward models learn during the run: minibatches of expert and policy steps, Adam on a loss."""
 
 import math
 from collections.abc import Callable
@@ -14,35 +14,39 @@ from qdil.types import Params
 
 
 class AdamState(NamedTuple):
-    """Parameters and their optimiser's state."""
+    """Parameters ψ and the state of their optimiser."""
 
     params: Params
     opt: optax.OptState
 
 
-def flat(inputs: Inputs) -> Inputs:
-    """Inputs with all leading axes joined into rows."""
+def as_rows(inputs: Inputs) -> Inputs:
+    """Inputs (…) as rows (N): all leading axes joined."""
     return jax.tree.map(lambda x: x.reshape(math.prod(x.shape[:-1]), x.shape[-1]), inputs)
 
 
-def rows(key: jax.Array, inputs: Inputs, size: int) -> Inputs:
-    """``size`` rows drawn evenly with replacement from inputs whose leading axes are flattened first."""
-    one = flat(inputs)
-    index = jax.random.randint(key, (size,), 0, one.obs.shape[0])
-    return jax.tree.map(lambda x: jnp.take(x, index, axis=0), one)
+def sample_rows(key: jax.Array, inputs: Inputs, size: int) -> Inputs:
+    """``size`` rows drawn uniformly, with replacement, from inputs with any leading axes (…)."""
+    rows = as_rows(inputs)
+    index = jax.random.randint(key, (size,), 0, rows.obs.shape[0])
+    return jax.tree.map(lambda x: jnp.take(x, index, axis=0), rows)
 
 
 def in_minibatches(
     step: Callable[[jax.Array, Any, Inputs, Inputs], tuple[Any, Info]], steps: int, size: int
 ) -> Callable[..., tuple[Any, Info]]:
-    """An ``update`` of ``steps`` calls of ``step(key, state, expert, policy)``, each on ``size`` rows of both."""
+    """The ``update`` that calls ``step(key, state, expert, policy)`` ``steps`` times, each on ``size`` rows of both.
+
+    Its measurements are those of the last step.
+    """
 
     def update(key: jax.Array, state: Any, expert: Inputs, policy: Inputs) -> tuple[Any, Info]:
-        def one(state: Any, key: jax.Array):
+        def minibatch(state: Any, key: jax.Array) -> tuple[Any, Info]:
             expert_key, policy_key, step_key = jax.random.split(key, 3)
-            return step(step_key, state, rows(expert_key, expert, size), rows(policy_key, policy, size))
+            expert_rows, policy_rows = sample_rows(expert_key, expert, size), sample_rows(policy_key, policy, size)
+            return step(step_key, state, expert_rows, policy_rows)
 
-        state, info = jax.lax.scan(one, state, jax.random.split(key, steps))
+        state, info = jax.lax.scan(minibatch, state, jax.random.split(key, steps))
         return state, jax.tree.map(lambda x: x[-1], info)
 
     return update
@@ -51,7 +55,11 @@ def in_minibatches(
 def by_adam(
     config: Config, loss: Callable[[Params, jax.Array, Inputs, Inputs], tuple[jax.Array, Info]]
 ) -> tuple[Callable[[Params], AdamState], Callable[..., tuple[AdamState, Info]]]:
-    """``(begin, update)`` of a model that lowers ``loss(params, key, expert, policy) -> (value, info)`` by Adam."""
+    """``(begin, update)`` of a model that minimises ``loss(params, key, expert, policy) -> (value, info)`` by Adam.
+
+    ``begin(params)`` is the state before any learning. Step size, number and size of minibatches are the
+    ``reward_learning_rate``, ``reward_steps`` and ``reward_batch`` of ``config``.
+    """
     opt = optax.adam(config.reward.reward_learning_rate)
 
     def begin(params: Params) -> AdamState:

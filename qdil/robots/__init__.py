@@ -1,1 +1,1 @@
-"""What a robot is to this project, and the one door to Brax."""
+"""Robots: what a robot is to this project, which there are, and the only modules that use Brax."""

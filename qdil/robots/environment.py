@@ -7,32 +7,33 @@ import jax
 
 
 class RobotState(NamedTuple):
-    """One robot at one moment."""
+    """One robot at one moment t; with axis (E) in front, many robots."""
 
-    physics: Any  # the simulator's own state, opaque to everything else
+    physics: Any  # the simulator's own state, a tree of arrays that no other module reads
     obs: jax.Array  # (O,) observation s_t
     proxy: jax.Array  # (k,) Markovian measure proxy δ(s_t), 1 where a foot touches the ground
 
 
 class Outcome(NamedTuple):
-    """What one step did besides moving the robot."""
+    """What one step yields besides the next state."""
 
-    reward: jax.Array  # () the environment's own ("true") reward
-    terminated: jax.Array  # () bool, the episode ended by itself (a fall); a time limit is not here
-    finite: jax.Array  # () bool, False where the physics diverged (then also terminated)
+    reward: jax.Array  # () the environment's own ("true") reward, finite
+    terminated: jax.Array  # () bool, the episode ended by itself (a fall); the time limit is not the robot's concern
+    finite: jax.Array  # () bool, False if the physics diverged, and then ``terminated`` is True
 
 
 class Environment(NamedTuple):
-    """A simulated robot. ``reset`` and ``step`` are pure, for one robot, and meant for ``jax.vmap``.
+    """A simulated robot, also known as the environment or, with a reward, as the Markov decision process.
 
-    Another simulator joins by filling in these fields; nothing outside ``qdil.robots`` knows Brax.
+    ``reset`` and ``step`` are pure functions of one robot that ``jax.vmap`` can map over many. To use a simulator of
+    your own, fill in these fields and call ``qdil.robots.register.register_robot(name, environment=...)``.
     """
 
-    name: str
-    backend: str
-    obs_size: int
-    action_size: int
-    measure_names: tuple[str, ...]  # one per foot; k = len(measure_names)
-    step_seconds: float
-    reset: Callable[[jax.Array], RobotState]  # key -> state
-    step: Callable[[RobotState, jax.Array], tuple[RobotState, Outcome]]  # action (A,), any size: the robot clips
+    name: str  # by which the robot is registered
+    backend: str  # name of the simulator
+    obs_size: int  # O
+    action_size: int  # A
+    measure_names: tuple[str, ...]  # one per measure, for Brax's robots its feet; k = len(measure_names)
+    step_seconds: float  # simulated time of one step, s
+    reset: Callable[[jax.Array], RobotState]  # random key -> state at the start of an episode
+    step: Callable[[RobotState, jax.Array], tuple[RobotState, Outcome]]  # action (A,); the robot clips it to [-1, 1]

@@ -12,21 +12,21 @@ from qdil.errors import ConfigError
 if TYPE_CHECKING:
     from qdil.robots.environment import Environment
 
-BACKENDS = ("spring", "positional", "generalized", "mjx")
-MOST_MEASURES = 6  # a grid has cells^k cells, and every one more is another copy that VPPO trains
+BACKENDS = ("spring", "positional", "generalized", "mjx")  # Brax's simulators, the default first
+MOST_MEASURES = 6  # a grid has cells^k cells, and each measure costs one more copy that VPPO trains
 
 
 class Robot(NamedTuple):
-    """How a robot is simulated, and which of its links are feet; or a simulated robot that a user made."""
+    """A robot of Brax and which of its links are feet; or, with ``environment``, a simulated robot of a user's own."""
 
     name: str
     brax_env: str | None  # its name among Brax's environments
-    feet: tuple[str, ...]  # links, or shapes of links, whose ground contacts are the measures, one each
-    environment: Environment | None = None  # instead of ``brax_env``
+    feet: tuple[str, ...]  # links, or collision shapes of links, whose ground contacts are the k measures
+    environment: Environment | None = None  # instead of ``brax_env`` and ``feet``
 
     @property
     def measure_names(self) -> tuple[str, ...]:
-        """One name per measure; k of them."""
+        """(k,) one name per measure."""
         return self.feet if self.environment is None else tuple(self.environment.measure_names)
 
 
@@ -49,32 +49,36 @@ def register_robot(
     """Make a robot known by ``name``: to the command line, folders, notebooks and the explorer.
 
     Give either ``brax_env``, a name that ``brax.envs`` knows, with the ``feet`` whose ground contacts are the k
-    measures (names of links, or of shapes where a link has no name); or an ``environment`` of your own
-    (``qdil.robots.environment``), whose ``measure_names`` say what its k measures are. k is between 1 and 6. Call it in
-    a module of your own and name that module with ``qdil --import``, or in the entry-point group ``qdil.plugins`` of an
-    installed package.
+    measures (names of links, or of collision shapes where a link has no name); or an ``environment`` of your own
+    (``qdil.robots.environment``), whose ``measure_names`` name its k measures and which takes the name ``name``. k is
+    between 1 and 6. Call this function in a module of your own and name that module with ``qdil --import``, or in the
+    entry-point group ``qdil.plugins`` of an installed package.
 
-    Raises ValueError for a name that is taken or is not made of small letters, digits, - and _, for a robot without
-    feet or with more than 6, and for a foot named twice. Whether feet are links of the robot is known once it is
-    built: then ConfigError.
+    Raises ConfigError for a name that is taken or is not made of small letters, digits, - and _; for a robot without
+    feet or with more than 6; for a foot named twice. Whether feet are links of the robot is known only when the robot
+    is built (``make``), which raises ConfigError, too.
     """
-    if (brax_env is None) == (environment is None):
-        raise ValueError(f"robot '{name}': give either brax_env with feet, or an environment.")
-    robot = Robot(name, brax_env, tuple(feet), environment)
-    k = len(robot.measure_names)
     if not re.fullmatch("[a-z][a-z0-9_-]*", name):
-        raise ValueError(f"'{name}' cannot name a robot: use small letters, digits, - and _ (it names folders).")
-    if not 1 <= k <= MOST_MEASURES:
-        raise ValueError(f"robot '{name}' has {k} feet: it needs between 1 and {MOST_MEASURES}, one for each measure.")
-    if len(set(robot.measure_names)) < k:
-        raise ValueError(f"robot '{name}' names a foot twice: {', '.join(robot.measure_names)}.")
+        raise ConfigError(f"'{name}' cannot name a robot: use small letters, digits, - and _, a letter first.")
+    if (brax_env is None) == (environment is None):
+        raise ConfigError(f"robot '{name}': give either brax_env with feet, or an environment.")
+    if isinstance(feet, str):
+        raise ConfigError(f"robot '{name}': feet={feet!r} must be a list of names, for example ['{feet}'].")
+    renamed = None if environment is None else environment._replace(name=name)
+    robot = Robot(name, brax_env, tuple(feet), renamed)
+    names = robot.measure_names
+    if not 1 <= len(names) <= MOST_MEASURES:
+        what = "feet" if environment is None else "measure_names"
+        raise ConfigError(f"robot '{name}' has {len(names)} {what}; it needs between 1 and {MOST_MEASURES}.")
+    if len(set(names)) < len(names):
+        raise ConfigError(f"robot '{name}' names a foot twice: {', '.join(names)}.")
     if _ROBOTS.get(name, robot) != robot:
-        raise ValueError(f"there is already a robot called '{name}'.")
+        raise ConfigError(f"there is already a robot called '{name}'.")
     _ROBOTS[name] = robot
 
 
 def robot_names() -> tuple[str, ...]:
-    """All robots, ours first."""
+    """The names of all robots, built-in ones first. Raises ConfigError for a plugin that cannot be loaded."""
     plugins.load()
     return tuple(_ROBOTS)
 
@@ -87,18 +91,21 @@ def find(name: str) -> Robot:
 
 
 def count_measures(name: str) -> int:
-    """k, the number of a robot's feet. Raises ConfigError for an unknown robot."""
+    """k, the number of a robot's measures. Raises ConfigError for an unknown robot."""
     return len(find(name).measure_names)
 
 
 def backends_of(name: str) -> tuple[str, ...]:
-    """What can simulate a robot, the default first. Raises ConfigError for an unknown robot."""
+    """The simulators that a robot runs on, the default first. Raises ConfigError for an unknown robot."""
     environment = find(name).environment
     return BACKENDS if environment is None else (environment.backend,)
 
 
 def make(name: str, backend: str | None = None) -> Environment:
-    """The simulated robot of this name (None: its default backend). Raises ConfigError for what does not exist."""
+    """The simulated robot of this name, on its default backend if ``backend`` is None.
+
+    Raises ConfigError for an unknown robot or backend, and for feet that are not links of the robot.
+    """
     robot, backends = find(name), backends_of(name)
     if backend is not None and backend not in backends:
         raise ConfigError(f"unknown backend '{backend}' of {name}; choose one of {', '.join(backends)}.")

@@ -1,4 +1,4 @@
-"""What robots look like: their capsules and spheres, and where these are in the pose that episodes begin in."""
+"""The geometry of robots for drawing: capsules and spheres, and their places in the pose in which episodes begin."""
 
 from functools import cache
 from typing import NamedTuple
@@ -7,20 +7,20 @@ import mujoco
 import numpy as np
 
 from qdil.robots import register
-from qdil.robots.brax_robots import foot_links, model
+from qdil.robots.brax_robots import first_positions, foot_links, model
 
 
 class Shapes(NamedTuple):
-    """A robot's capsules, axis (G) in front; a sphere is a capsule whose ends are one point. Lengths in metres."""
+    """A robot's capsules, axis (G) in front, lengths in metres. A sphere is a capsule whose two ends coincide."""
 
-    link: np.ndarray  # (G,) int, number of the link that it is fixed to
-    ends: np.ndarray  # (G, 2, 3) middles of its two round ends, in the link's own frame
+    link: np.ndarray  # (G,) int, index of the link to which the capsule is fixed
+    ends: np.ndarray  # (G, 2, 3) centres of its two round ends, in the link's own frame
     radius: np.ndarray  # (G,)
-    foot: np.ndarray  # (G,) int, the number of the foot whose contacts it makes; -1 for the rest of the robot
+    foot: np.ndarray  # (G,) int, index of the foot to which the capsule belongs; -1 if it belongs to none
 
 
 class Pose(NamedTuple):
-    """Where a robot's links are; x forward, y to the left, z up."""
+    """Position and rotation of a robot's L links; x points forward, y to the left, z up."""
 
     position: np.ndarray  # (L, 3) metres
     rotation: np.ndarray  # (L, 4) unit quaternions, real part first
@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
 @cache
 def shapes(name: str) -> Shapes:
-    """The capsules of a robot. Raises ConfigError for an unknown robot, or one without a model."""
+    """The capsules of a robot. Raises ConfigError for an unknown robot and for an environment of a user's own."""
     robot = register.find(name)
     mj = model(robot)
     kept = np.flatnonzero((mj.geom_bodyid > 0) & np.isin(mj.geom_type, (CAPSULE, SPHERE)))
@@ -46,21 +46,23 @@ CAPSULE, SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_
 
 @cache
 def first_pose(name: str) -> Pose:
-    """The pose that a robot's episodes begin in, but for the small random changes of each."""
-    mj = model(register.find(name))
+    """The pose in which a robot's episodes begin, without the small random change of each episode."""
+    robot = register.find(name)
+    mj = model(robot)
     data = mujoco.MjData(mj)
+    data.qpos[:] = first_positions(robot)
     mujoco.mj_kinematics(mj, data)
     return Pose(data.xpos[1:].copy(), data.xquat[1:].copy())
 
 
 def placed(robot: Shapes, pose: Pose) -> np.ndarray:
-    """(G, 2, 3): the ends of a robot's capsules in the world."""
+    """The ends (G, 2, 3) of a robot's capsules in world coordinates, metres."""
     turned = rotated(pose.rotation[robot.link, None], robot.ends)
     return turned + pose.position[robot.link, None]
 
 
 def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """``vector`` (…, 3) turned by unit quaternions (…, 4), real part first; shapes broadcast."""
+    """``vector`` (…, 3) rotated by unit quaternions (…, 4), real part first; leading axes broadcast."""
     real, axis = quaternion[..., :1], quaternion[..., 1:]
     across = 2 * np.cross(axis, vector)
     return vector + real * across + np.cross(axis, across)

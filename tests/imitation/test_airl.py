@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from probes import ACTIONS, CONTEXT, OBS, PROXIES, STATS, built, demos_of, forward, in_numpy, steps_of
 
-from qdil.imitation.training import rows
 from qdil.imitation.reward_model import expert_inputs, hide, policy_inputs
+from qdil.imitation.training import sample_rows
 
 SIZE = 16  # rows of each kind in a step of learning
 
@@ -41,8 +41,8 @@ def drawn(method, expert, policy):
     """The rows, as the discriminator sees them, of an update of one step with key 1."""
     select = hide(actions=method.endswith("-obs"), proxy="mcond" not in method)
     expert_key, policy_key, _ = jax.random.split(jax.random.split(jax.random.key(1), 1)[0], 3)
-    expert = rows(expert_key, select(expert_inputs(expert, STATS)), SIZE)
-    policy = rows(policy_key, select(policy_inputs(policy, STATS)), SIZE)
+    expert = sample_rows(expert_key, select(expert_inputs(expert, STATS)), SIZE)
+    policy = sample_rows(policy_key, select(policy_inputs(policy, STATS)), SIZE)
     return [np.concatenate([x.obs, x.action, x.proxy, x.next_obs], axis=1).astype(float) for x in (expert, policy)]
 
 
@@ -83,10 +83,10 @@ def test_it_reads_the_next_state():
     other = policy._replace(next_obs=policy.next_obs + 0.1)
     assert len(state.inner.params[0]["w"]) == 2 * OBS + ACTIONS
     assert len(begun("mcond-airl")[1].inner.params[0]["w"]) == 2 * OBS + ACTIONS + PROXIES
-    paid, paid_otherwise = (model.reward(state, (), CONTEXT, steps)[1] for steps in (policy, other))
-    assert np.abs(np.asarray(paid - paid_otherwise)).min() > 0
+    rewards, other_rewards = (model.reward(state, (), CONTEXT, steps)[1] for steps in (policy, other))
+    assert np.abs(np.asarray(rewards - other_rewards)).min() > 0
     update = jax.jit(model.update)
-    learned, learned_otherwise = (
+    learned, other_learned = (
         update(jax.random.key(1), state, CONTEXT, expert, steps)[0].inner.params for steps in (policy, other)
     )
-    assert not np.array_equal(learned[0]["w"], learned_otherwise[0]["w"])
+    assert not np.array_equal(learned[0]["w"], other_learned[0]["w"])

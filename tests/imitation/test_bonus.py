@@ -10,20 +10,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from probes import transitions
 
-from qdil.imitation.bonus import episode_measures, is_empty, measure_bonus
+from qdil.config import choices
+from qdil.imitation.bonus import SCOPES, episode_measures, is_empty, measure_bonus
 from qdil.qd import archive
 
-TIME, ENVS, BEFORE = 9, 4, 5  # steps in a window, robots, steps that were taken before it
+TIME, ENVS, BEFORE = 9, 4, 5  # steps in a rollout, robots, steps that were taken before it
 
 jitted_measures = jax.jit(episode_measures)
 jitted_empty = jax.jit(is_empty)
-jitted_window_bonus = jax.jit(partial(measure_bonus, scope="window"))
+jitted_rollout_bonus = jax.jit(partial(measure_bonus, scope="rollout"))
 
 
-def cut_window(proxy, ended):
+def cut_rollout(proxy, ended):
     """The last ``TIME`` steps of histories (BEFORE + TIME, ENVS), and by plain loops the measure of each one's episode.
 
-    An episode that the window cuts counts up to the cut; one begun before the window counts from its beginning.
+    An episode that the rollout cuts counts up to the cut; one begun before the rollout counts from its beginning.
     """
     length, envs, k = proxy.shape
     so_far, expected = np.zeros_like(proxy), np.zeros_like(proxy)
@@ -36,8 +37,12 @@ def cut_window(proxy, ended):
                 begin = t + 1
     fell = ended & (np.arange(length)[:, None] % 2 == 0)
     kept = {"proxy": proxy, "measures_so_far": so_far, "terminated": fell, "truncated": ended & ~fell}
-    window = transitions(TIME, envs, k=k, **{name: values[-TIME:] for name, values in kept.items()})
-    return window, expected[-TIME:]
+    rollout = transitions(TIME, envs, k=k, **{name: values[-TIME:] for name, values in kept.items()})
+    return rollout, expected[-TIME:]
+
+
+def test_every_scope_that_may_be_set_is_there():
+    assert set(SCOPES) == set(choices("bonus_scope"))
 
 
 def test_episode_measures_by_hand():
@@ -58,8 +63,8 @@ def test_episode_measures_by_hand():
 def test_episode_measures_agree_with_a_slow_loop(seed, chance):
     rng = np.random.default_rng(seed)
     shape = (BEFORE + TIME, ENVS)
-    window, expected = cut_window(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < chance)
-    np.testing.assert_allclose(jitted_measures(window), expected, rtol=1e-6, atol=1e-7)
+    rollout, expected = cut_rollout(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < chance)
+    np.testing.assert_allclose(jitted_measures(rollout), expected, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("cells", [5, 20, 50])
@@ -87,20 +92,20 @@ def test_shares_of_an_episode_that_fall_on_grid_lines_are_in_pyribs_cells(cells,
 def test_bonus_is_p_plus_q_in_empty_cells_all_episode_long():
     rng = np.random.default_rng(0)
     shape = (BEFORE + TIME, ENVS)
-    window, measures = cut_window(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < 0.3)
+    rollout, measures = cut_rollout(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < 0.3)
     occupied = rng.random((4, 4)) < 0.5
-    bonus = measure_bonus(window, jnp.asarray(occupied), 0.25, 2.0)
+    bonus = measure_bonus(rollout, jnp.asarray(occupied), 0.25, 2.0)
     for t in range(TIME):
         for e in range(ENVS):
             i, j = np.minimum((4 * measures[t, e] + 1e-4).astype(int), 3)
             assert bonus[t, e] == (0.25 if occupied[i, j] else 2.25)
-    same_episode = ~np.asarray(window.ended[:-1])
+    same_episode = ~np.asarray(rollout.ended[:-1])
     assert {0.25, 2.25} == set(np.unique(bonus))
     np.testing.assert_array_equal(np.asarray(bonus[1:])[same_episode], np.asarray(bonus[:-1])[same_episode])
 
 
-def test_bonus_of_a_window_by_hand():
-    # One robot, one foot, four steps in two episodes: down, down | up, down. The window's measure is 3/4 throughout.
+def test_bonus_of_a_rollout_by_hand():
+    # One robot, one foot, four steps in two episodes: down, down | up, down. The rollout's measure is 3/4 throughout.
     steps = transitions(
         4,
         1,
@@ -110,21 +115,21 @@ def test_bonus_of_a_window_by_hand():
         terminated=np.array([0, 1, 0, 0], bool)[:, None],
     )
     only_above_three_quarters = jnp.array([False, False, False, True])
-    bonus = measure_bonus(steps, only_above_three_quarters, 0.25, 2.0, scope="window")
+    bonus = measure_bonus(steps, only_above_three_quarters, 0.25, 2.0, scope="rollout")
     assert np.ravel(bonus).tolist() == [0.25] * 4
     by_episode = measure_bonus(steps, only_above_three_quarters, 0.25, 2.0, scope="episode")
     assert np.ravel(by_episode).tolist() == [0.25, 0.25, 2.25, 2.25]
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0, 1))
-def test_bonus_of_a_window_agrees_with_a_slow_loop(seed, chance):
+def test_bonus_of_a_rollout_agrees_with_a_slow_loop(seed, chance):
     rng = np.random.default_rng(seed)
     shape = (BEFORE + TIME, ENVS)
-    window, _ = cut_window(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < chance)
+    rollout, _ = cut_rollout(rng.integers(0, 2, (*shape, 2)).astype(np.float32), rng.random(shape) < chance)
     occupied = rng.random((4, 4)) < 0.5
-    bonus = jitted_window_bonus(window, jnp.asarray(occupied), 0.25, 2.0)
+    bonus = jitted_rollout_bonus(rollout, jnp.asarray(occupied), 0.25, 2.0)
     for e in range(ENVS):
-        down = [sum(float(window.proxy[t, e, foot]) for t in range(TIME)) for foot in (0, 1)]
+        down = [sum(float(rollout.proxy[t, e, foot]) for t in range(TIME)) for foot in (0, 1)]
         i, j = (min(int(4 * d / TIME), 3) for d in down)  # nine steps: no share falls on a line but 0 and 1
         for t in range(TIME):
             assert bonus[t, e] == (0.25 if occupied[i, j] else 2.25)

@@ -23,7 +23,7 @@ WALKER = counter(4.0)._replace(name="walker2d", backend="spring")
 def test_farthest_points_agree_with_brute_force(seed, size, count):
     measures = np.random.default_rng(seed).random((size, 2))
     if count > size:
-        with pytest.raises(ValueError, match=f"only {size} elites"):
+        with pytest.raises(ValueError, match=f"there are only {size} elites"):
             demos.farthest_points(measures, count)
         return
     chosen = demos.farthest_points(measures, count).tolist()

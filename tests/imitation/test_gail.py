@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from probes import ACTIONS, CONTEXT, OBS, PROXIES, STATS, built, demos_of, steps_of
 
-from qdil.imitation.training import AdamState
 from qdil.imitation.reward_model import expert_inputs, features, policy_inputs
 from qdil.imitation.rewards.gail import discriminator_loss, gradient_penalty, logits, mixing_weights
+from qdil.imitation.training import AdamState
 from qdil.rl import networks
 
 # The loss
@@ -143,8 +143,8 @@ def test_rows_that_are_the_same_raw_numbers_cannot_be_told_apart():
 def test_expert_and_policy_rows_become_the_same_inputs():
     steps = steps_of(np.random.default_rng(0))
     expert, policy = expert_inputs(demos_of(steps), STATS), policy_inputs(steps, STATS)
-    for mine, theirs in zip(expert, policy, strict=True):
-        np.testing.assert_array_equal(mine, theirs.reshape(mine.shape))
+    for of_expert, of_policy in zip(expert, policy, strict=True):
+        np.testing.assert_array_equal(of_expert, of_policy.reshape(of_expert.shape))
     by_hand = (np.asarray(steps.obs).reshape(-1, OBS) - np.asarray(STATS.mean)) / np.asarray(STATS.std)
     np.testing.assert_allclose(expert.obs, by_hand, rtol=1e-5)
 
@@ -168,7 +168,7 @@ def test_only_conditioned_models_see_the_proxy(method, conditioned):
     other_steps, other_demos = steps._replace(proxy=1 - steps.proxy), demos._replace(proxy=1 - demos.proxy)
 
     @jax.jit
-    def learn_and_pay(demos, steps):
+    def learn_and_reward(demos, steps):
         state = model.update(jax.random.key(0), model.init(jax.random.key(1), demos), CONTEXT, demos, steps)[0]
         return state.inner.params, model.reward(state, (), CONTEXT, steps)[1]
 
@@ -176,9 +176,9 @@ def test_only_conditioned_models_see_the_proxy(method, conditioned):
         pairs = zip(jax.tree.leaves(some), jax.tree.leaves(others), strict=True)
         return all(np.array_equal(a, b) for a, b in pairs)
 
-    plain = learn_and_pay(demos, steps)
-    assert same(plain, learn_and_pay(demos, other_steps)) != conditioned
-    assert same(plain, learn_and_pay(other_demos, steps)) != conditioned
+    plain = learn_and_reward(demos, steps)
+    assert same(plain, learn_and_reward(demos, other_steps)) != conditioned
+    assert same(plain, learn_and_reward(other_demos, steps)) != conditioned
 
 
 def test_inputs_are_state_action_and_proxy_side_by_side():

@@ -158,7 +158,7 @@ def test_without_actions_it_is_blind_to_them():
     state, other = (init(jax.random.key(0), d) for d in (demos, demos._replace(action=-demos.action)))
     for mine, theirs in zip(jax.tree.leaves(state), jax.tree.leaves(other), strict=True):
         np.testing.assert_array_equal(mine, theirs)
-    paid, paid_otherwise = (
+    rewards, other_rewards = (
         model.reward(state, (), CONTEXT, s)[1] for s in (steps, steps._replace(action=-steps.action))
     )
-    np.testing.assert_array_equal(paid, paid_otherwise)
+    np.testing.assert_array_equal(rewards, other_rewards)

@@ -66,14 +66,14 @@ def test_reward_rises_on_demonstrations_and_falls_on_the_policy():
     expert, policy = steps_of(rng, shift=0.7), steps_of(rng)
     state = model.init(jax.random.key(0), demos_of(expert))
 
-    def paid(state):
+    def mean_rewards(state):
         return [float(model.reward(state, (), CONTEXT, steps)[1].mean()) for steps in (expert, policy)]
 
-    before, update = paid(state), jax.jit(model.update)
+    before, update = mean_rewards(state), jax.jit(model.update)
     gaps = [before[0] - before[1]]
     for i in range(4):
         state, info = update(jax.random.key(i), state, CONTEXT, demos_of(expert), policy)
-        after = paid(state)
+        after = mean_rewards(state)
         gaps.append(after[0] - after[1])
     assert after[0] > before[0] + 0.1 and after[1] < before[1] - 0.1
     assert gaps == sorted(gaps) and info["reward_gap"] == pytest.approx(gaps[-1], abs=0.1)

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment, linprog
 from qdil.imitation.rewards.pwil import couple, distances
 
 ROWS, TIME = 6, 9  # expert rows N, time limit T
-WINDOW, WINDOWS, ENVS = 7, 3, 3
+ROLLOUT, ROLLOUTS, ENVS = 7, 3, 3
 ALPHA, BETA = 5.0, 5.0
 
 jitted_couple = jax.jit(couple)
@@ -100,9 +100,9 @@ def rewards_slowly(x, atoms, ended, coupling):
 
 
 def history(rng, chance):
-    """Steps (WINDOWS · WINDOW, ENVS) of episodes that end by chance, by a fall or not, and at the time limit anyhow."""
-    steps = steps_of(rng, WINDOWS * WINDOW, ENVS)
-    ended = rng.random((WINDOWS * WINDOW, ENVS)) < chance
+    """Steps (ROLLOUTS · ROLLOUT, ENVS) of episodes that end by chance, with a fall or without, or at the time limit."""
+    steps = steps_of(rng, ROLLOUTS * ROLLOUT, ENVS)
+    ended = rng.random((ROLLOUTS * ROLLOUT, ENVS)) < chance
     begun = np.zeros(ENVS, int)
     for t in range(len(ended)):
         begun += 1
@@ -123,18 +123,18 @@ def begun(method, coupling):
     return model, model.init(jax.random.key(0), DEMOS), jax.jit(model.reward)
 
 
-def windows_of(steps, size):
+def rollouts_of(steps, size):
     return [jax.tree.map(lambda x, t=t: x[t : t + size], steps) for t in range(0, len(steps.obs), size)]
 
 
-def paid(case, steps, size):
-    """Rewards (H, E), one window of ``size`` steps after the other, and the mass left after each."""
-    model, state, pay = begun(*case)
-    carry, rewards, masses = model.begin(state, steps.obs.shape[1]), [], []
-    for part in windows_of(steps, size):
-        carry, reward = pay(state, carry, CONTEXT, part)
+def rewarded(case, steps, size):
+    """Rewards (H, E), computed in rollouts of ``size`` steps, and the mass left after each rollout."""
+    model, state, compute = begun(*case)
+    memory, rewards, masses = model.begin(state, steps.obs.shape[1]), [], []
+    for part in rollouts_of(steps, size):
+        memory, reward = compute(state, memory, CONTEXT, part)
         rewards.append(np.asarray(reward))
-        masses.append(np.asarray(carry))
+        masses.append(np.asarray(memory))
     return np.concatenate(rewards), np.stack(masses)
 
 
@@ -142,7 +142,7 @@ def paid(case, steps, size):
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.15, 0.5]))
 def test_rewards_are_the_equations(case, seed, chance):
     steps = history(np.random.default_rng(seed), chance)
-    rewards, _ = paid(case, steps, WINDOW)
+    rewards, _ = rewarded(case, steps, ROLLOUT)
     x, atoms = features_of(steps, DEMOS, case[0]), features_of(DEMOS, DEMOS, case[0])
     for e in range(ENVS):
         expected = rewards_slowly(x[:, e], atoms, np.asarray(steps.ended[:, e]), case[1])
@@ -150,15 +150,15 @@ def test_rewards_are_the_equations(case, seed, chance):
     assert 0 < rewards.min() and rewards.max() <= ALPHA
 
 
-def test_where_windows_cut_makes_no_difference():
+def test_rewards_do_not_depend_on_how_steps_are_cut_into_rollouts():
     steps = history(np.random.default_rng(1), 0.15)
     case = ("pwil", "episode")
-    np.testing.assert_array_equal(paid(case, steps, WINDOW)[0], paid(case, steps, WINDOW * WINDOWS)[0])
+    np.testing.assert_array_equal(rewarded(case, steps, ROLLOUT)[0], rewarded(case, steps, ROLLOUT * ROLLOUTS)[0])
 
 
 def test_no_mass_is_lost():
     steps = history(np.random.default_rng(2), 0.1)
-    _, masses = paid(("pwil", "episode"), steps, 1)
+    _, masses = rewarded(("pwil", "episode"), steps, 1)
     ages, ended = np.zeros(ENVS, int), np.asarray(steps.ended)
     for mass, last in zip(masses, ended, strict=True):
         ages = np.where(last, 0, ages + 1)
@@ -167,14 +167,14 @@ def test_no_mass_is_lost():
     assert ended.any() and not ended.all()
 
 
-def test_what_the_couplings_mean_by_hand():
-    # Nine times the same step: carried through the episode it pays less and less; restored at every step, the same.
+def test_both_couplings_by_hand():
+    # Nine times the same step: the reward falls if its mass stays taken, and stays if the mass is restored every step.
     one = jax.tree.map(lambda x: jnp.repeat(x[:1, :1], TIME, axis=0), history(np.random.default_rng(3), 0.0))
-    carried, restored = (paid(("pwil", how), one, TIME)[0][:, 0] for how in ("episode", "step"))
+    carried, restored = (rewarded(("pwil", how), one, TIME)[0][:, 0] for how in ("episode", "step"))
     assert carried[0] == pytest.approx(restored[0], rel=1e-5) and carried[-1] < carried[0]
     assert np.all(np.diff(carried) <= 1e-6) and np.ptp(restored) == 0
     with_end = one._replace(truncated=one.truncated.at[4].set(True))
-    again = paid(("pwil", "episode"), with_end, TIME)[0][:, 0]
+    again = rewarded(("pwil", "episode"), with_end, TIME)[0][:, 0]
     np.testing.assert_array_equal(again[5:], again[: TIME - 5])
 
 
@@ -195,7 +195,7 @@ def greedy_costs(rewards, size):
 
 def test_an_episodes_cost_bounds_the_wasserstein_distance():
     steps = steps_of(np.random.default_rng(4), TIME, 20)
-    rewards, masses = paid(("pwil", "episode"), steps, TIME)
+    rewards, masses = rewarded(("pwil", "episode"), steps, TIME)
     greedy = greedy_costs(rewards, OBS + ACTIONS)
     x, atoms = features_of(steps, DEMOS, "pwil"), features_of(DEMOS, DEMOS, "pwil")
     best = np.array([optimal_cost(x[:, e], atoms) for e in range(20)])
@@ -203,7 +203,7 @@ def test_an_episodes_cost_bounds_the_wasserstein_distance():
     assert not masses.any()  # a whole episode takes everything
 
 
-def test_greed_that_does_not_pay_by_hand():
+def test_a_greedy_coupling_that_is_not_optimal_by_hand():
     # Rows at 0 and 1. The step at 0.4 takes the row at 0, so that the step at 0 must go to 1: 1.4 in place of 0.6.
     mass, costs = jnp.array([[2, 2]], jnp.int32), []
     for x in (0.4, 0.0):
@@ -213,7 +213,7 @@ def test_greed_that_does_not_pay_by_hand():
     assert optimal_cost(np.array([[0.4], [0.0]]), np.array([[0.0], [1.0]])) == pytest.approx(0.6 / 2)
 
 
-def test_repeating_the_demonstration_costs_nothing_and_pays_most():
+def test_repeating_the_demonstration_costs_nothing_and_has_the_largest_reward():
     rng = np.random.default_rng(6)
     expert = steps_of(rng, TIME, 1)
     model = built("pwil", episode_length=TIME)

@@ -27,7 +27,7 @@ from qdil.imitation.reward_model import InputModel, Inputs, hide, over_inputs
 IMITATORS = [base.name for base in methods.bases().values() if base.imitates]
 # The bonus is not the reward model's, so that mbo- and mconbo- share a model with "" and mcond-: see the test of it.
 MODELS = [prefix + base + suffix for base, suffix, prefix in product(IMITATORS, ("", "-obs"), ("", "mcond-"))]
-SURPRISED = ("giril",)  # pays for what the expert would not do (eq. 10): its lower rewards are the more expert
+SURPRISED = ("giril",)  # rewards what the expert would not do (eq. 10), so its lower rewards are the expert's
 
 LEARNING = {
     "reward_hidden": (32,),
@@ -46,12 +46,12 @@ def program(method):
     """One round of learning from nothing and the rewards of other steps: (demos, policy, steps) -> (state, rewards)."""
     model = built(method, **LEARNING)
 
-    def learn_and_pay(demos, policy, steps):
+    def learn_and_reward(demos, policy, steps):
         state = model.init(jax.random.key(1), demos)
         state, _ = model.update(jax.random.key(0), state, CONTEXT, demos, policy)
         return state.inner, model.reward(state, model.begin(state, steps.obs.shape[1]), CONTEXT, steps)[1]
 
-    return jax.jit(learn_and_pay)
+    return jax.jit(learn_and_reward)
 
 
 @cache
@@ -74,7 +74,7 @@ def same(some, others) -> bool:
 
 
 def base_of(method):
-    return methods.parse_method(method).base
+    return methods.parse_method(method).base.name
 
 
 # Learning
@@ -101,12 +101,12 @@ def test_only_models_without_obs_in_their_names_see_actions(method):
         (demos, policy._replace(action=-policy.action[::-1]), steps),
         (demos, policy, steps._replace(action=-steps.action[::-1])),
     ]
-    learned, learned_from_policy, paid = (program(method)(*change) for change in changes)
+    learned, learned_from_policy, rewarded = (program(method)(*change) for change in changes)
     blind = method.endswith("-obs")
     learns_from_policy = built(method).learns
     assert same(state, learned[0]) == blind
     assert same(state, learned_from_policy[0]) == (blind or not learns_from_policy)
-    assert same(rewards, paid[1]) == blind and same(state, paid[0])
+    assert same(rewards, rewarded[1]) == blind and same(state, rewarded[0])
 
 
 @pytest.mark.parametrize("method", [f"{base}-obs" for base in IMITATORS])
@@ -125,12 +125,12 @@ def test_only_conditioned_models_see_the_proxy(method):
         (demos, policy._replace(proxy=1 - policy.proxy), steps),
         (demos, policy, steps._replace(proxy=1 - steps.proxy)),
     ]
-    learned, learned_from_policy, paid = (program(method)(*change) for change in changes)
+    learned, learned_from_policy, rewarded = (program(method)(*change) for change in changes)
     blind = not method.startswith("mcond-")
     learns_from_policy = built(method).learns
     assert same(state, learned[0]) == blind
     assert same(state, learned_from_policy[0]) == (blind or not learns_from_policy)
-    assert same(rewards, paid[1]) == blind and same(state, paid[0])
+    assert same(rewards, rewarded[1]) == blind and same(state, rewarded[0])
 
 
 @pytest.mark.parametrize("method", MODELS)
@@ -176,32 +176,31 @@ def test_rewards_are_finite_for_extreme_steps_and_dull_demonstrations(method):
 
 
 def spy(normaliser):
-    """A model that keeps what it is shown: at its beginning, in learning, and what is to be paid."""
+    """A model that keeps what it is shown: at its beginning, in learning, and in rewarding."""
     return InputModel(
         init=lambda key, expert: {"begun": expert},
-        begin=lambda state, num_envs: (),
-        reward=lambda state, carry, inputs, ended: (inputs, ended),
+        reward=lambda state, memory, inputs, ended: (inputs, ended),
         update=lambda key, state, expert, policy: ({**state, "expert": expert, "policy": policy}, {}),
         normaliser=normaliser,
     )
 
 
 def shown(normaliser, select, raw_expert=False, demos=None):
-    """Inputs at the beginning, of expert and policy in learning, and of the steps paid for."""
+    """Inputs at the beginning, of expert and policy in learning, and of the rewarded steps."""
     steps = expert_steps(np.random.default_rng(0))
     demos = demos_of(steps) if demos is None else demos
     model = over_inputs(spy(normaliser), select, raw_expert)
     state = model.init(jax.random.key(0), demos)
     state, _ = model.update(jax.random.key(0), state, CONTEXT, demos, steps)
-    paid, _ = model.reward(state, (), CONTEXT, steps)
-    return state.inner["begun"], state.inner["expert"], state.inner["policy"], paid
+    rewarded, _ = model.reward(state, (), CONTEXT, steps)
+    return state.inner["begun"], state.inner["expert"], state.inner["policy"], rewarded
 
 
 @pytest.mark.parametrize("normaliser", ["running", "expert"])
 @pytest.mark.parametrize(("actions", "proxy"), list(product([True, False], repeat=2)))
 def test_the_same_raw_numbers_become_the_same_inputs(normaliser, actions, proxy):
     steps = expert_steps(np.random.default_rng(0))
-    begun, expert, policy, paid = shown(normaliser, hide(actions, proxy))
+    begun, expert, policy, rewarded = shown(normaliser, hide(actions, proxy))
     raw = np.asarray(steps.obs, float).reshape(-1, OBS)
     mean, std = (raw.mean(0), raw.std(0)) if normaliser == "expert" else (STATS.mean, STATS.std)
     np.testing.assert_allclose(expert.obs, (raw - mean) / std, rtol=1e-3, atol=1e-4)
@@ -210,9 +209,9 @@ def test_the_same_raw_numbers_become_the_same_inputs(normaliser, actions, proxy)
     assert expert.action.shape[-1] == (0 if actions else ACTIONS)
     assert expert.proxy.shape[-1] == (0 if proxy else PROXIES)
     for name in Inputs._fields:
-        mine, theirs, theirs_paid = (np.asarray(getattr(x, name)) for x in (expert, policy, paid))
+        mine, theirs, theirs_rewarded = (np.asarray(getattr(x, name)) for x in (expert, policy, rewarded))
         np.testing.assert_array_equal(mine, theirs.reshape(mine.shape))
-        np.testing.assert_array_equal(theirs, theirs_paid)
+        np.testing.assert_array_equal(theirs, theirs_rewarded)
         if normaliser == "expert":
             np.testing.assert_array_equal(mine, getattr(begun, name))
 
@@ -222,11 +221,11 @@ def test_raw_expert_rows_are_as_they_were_recorded(normaliser):
     # With observations beyond the ±10 at which normalised ones are cut, as humanoid's are.
     demos = demos_of(expert_steps(np.random.default_rng(0)))
     demos = demos._replace(obs=demos.obs * 100, next_obs=demos.next_obs * 100)
-    begun, expert, policy, paid = shown(normaliser, hide(False, False), True, demos)
+    begun, expert, policy, rewarded = shown(normaliser, hide(False, False), True, demos)
     for rows in (begun, expert):
         for name in Inputs._fields:
             np.testing.assert_array_equal(getattr(rows, name), getattr(demos, name))
-    assert np.abs(policy.obs).max() <= 10 and same(policy, paid)
+    assert np.abs(policy.obs).max() <= 10 and same(policy, rewarded)
 
 
 @pytest.mark.parametrize(("how", "raw"), [("raw", True), ("normalised", False)])

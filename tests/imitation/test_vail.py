@@ -71,8 +71,8 @@ def loss_in_numpy(params, beta, expert, policy, noise, mix, settings):
         hidden = np.tanh((share * x + (1 - share) * y) @ first["w"] + first["b"])
         slope = first["w"] @ ((1 - hidden**2) * (last["w"][:, :LATENT] @ head["w"][:, 0]))
         penalty += (np.linalg.norm(slope) - 1) ** 2 / len(expert)
-    constraint = beta * (information - settings.vail_information)
-    return cross_entropy + constraint + settings.gradient_penalty * penalty, cross_entropy, information
+    constraint = beta * (information - settings.reward.vail_information)
+    return cross_entropy + constraint + settings.reward.gradient_penalty * penalty, cross_entropy, information
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.3])

@@ -1,26 +1,33 @@
-"""The robots on real physics: contact measures, falls, time limits, random resets, divergence."""
+"""The robots on Brax's physics: contact measures, falls, time limits, random resets, divergence."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qdil.robots import brax_robots
+from qdil.errors import ConfigError
+from qdil.rl.rollout import rollout, start
+from qdil.robots import brax_robots, register
 from qdil.robots.environment import Environment, RobotState
-from qdil.rl.rollout import start, window
 
-ROBOTS = tuple(brax_robots.ROBOTS)
+pytestmark = pytest.mark.physics
+
+FEET = {"halfcheetah": 2, "walker2d": 2, "humanoid": 2, "hopper": 1, "ant": 4}
 
 
-@pytest.fixture(scope="module", params=ROBOTS)
+@pytest.fixture(scope="module", params=FEET)
 def robot(request) -> Environment:
-    return brax_robots.make(request.param)
+    return register.make(request.param)
 
 
-@pytest.mark.parametrize("backend", [b for b in brax_robots.BACKENDS if b != "spring"])
+def test_every_robot_of_ours_is_tested():
+    assert set(FEET) == {robot.name for robot in register.BUILT_IN}
+
+
+@pytest.mark.parametrize("backend", [b for b in register.BACKENDS if b != "spring"])
 def test_the_other_backends_step_and_feel_the_ground(backend):
     """Walker2d stands where it starts: let go, it sinks onto its feet, whatever simulates it."""
-    env = brax_robots.make("walker2d", backend)
+    env = register.make("walker2d", backend)
     state = jax.jit(env.reset)(jax.random.key(0))
     proxies = settle(env, state)
     assert np.isfinite(np.asarray(state.obs)).all() and state.obs.shape == (env.obs_size,)
@@ -33,23 +40,24 @@ def test_robots_move_as_braxs_own_do(robot):
 
     plain = envs.get_environment(robot.name, backend="spring")
     keys = jax.random.split(jax.random.key(4), 6)
-    mine, theirs = jax.jit(jax.vmap(robot.reset))(keys), jax.jit(jax.vmap(plain.reset))(keys)
-    np.testing.assert_array_equal(mine.obs, theirs.obs)
+    ours, theirs = jax.jit(jax.vmap(robot.reset))(keys), jax.jit(jax.vmap(plain.reset))(keys)
+    np.testing.assert_array_equal(ours.obs, theirs.obs)
     step, plain_step = jax.jit(jax.vmap(robot.step)), jax.jit(jax.vmap(plain.step))
     touched = False
     for action in np.random.default_rng(0).uniform(-1, 1, (25, 6, robot.action_size)).astype(np.float32):
-        before = RobotState(theirs.pipeline_state, theirs.obs, mine.proxy)
-        (mine, outcome), theirs = step(before, action), plain_step(theirs, action)
-        touched |= bool(mine.proxy.any())
-        np.testing.assert_allclose(mine.obs, theirs.obs, rtol=1e-3, atol=1e-3)
+        before = RobotState(theirs.pipeline_state, theirs.obs, ours.proxy)
+        (ours, outcome), theirs = step(before, action), plain_step(theirs, action)
+        touched |= bool(ours.proxy.any())
+        np.testing.assert_allclose(ours.obs, theirs.obs, rtol=1e-3, atol=1e-3)
         np.testing.assert_allclose(outcome.reward, theirs.reward, rtol=1e-3, atol=1e-3)
-        for ours, whole in zip(jax.tree.leaves(mine.physics), jax.tree.leaves(theirs.pipeline_state), strict=True):
-            np.testing.assert_allclose(ours, whole, rtol=1e-3, atol=1e-3)
+        leaves = zip(jax.tree.leaves(ours.physics), jax.tree.leaves(theirs.pipeline_state), strict=True)
+        for our_leaf, their_leaf in leaves:
+            np.testing.assert_allclose(our_leaf, their_leaf, rtol=1e-3, atol=1e-3)
     assert touched
 
 
-def test_many_robots_lie_last_in_memory(robot):
-    """Nothing but speed would tell: Brax's own step, batched, is full of products that ``batch_last`` writes out."""
+def test_many_robots_are_simulated_batch_last(robot):
+    """Only speed would show it: Brax's own step, batched, is full of products that ``batch_last`` writes out."""
 
     def products(env):
         """Of arrays that robots, 53 of them, do not share."""
@@ -57,7 +65,7 @@ def test_many_robots_lie_last_in_memory(robot):
         program = jax.jit(jax.vmap(env.step)).lower(states, jnp.zeros((53, env.action_size)))
         return sum("dot_general" in line and "53" in line.split(" : ")[-1] for line in program.as_text().splitlines())
 
-    assert products(brax_robots.make(robot.name, as_brax=True)) > 15
+    assert products(brax_robots.make(register.find(robot.name), "spring", as_brax=True)) > 15
     assert products(robot) <= 3  # sums of more than a few numbers
 
 
@@ -77,10 +85,10 @@ def lifted(env: Environment, height: float) -> RobotState:
     from brax import envs
 
     inside = envs.get_environment(env.name, backend=env.backend)
-    # Planar robots have their height as the second coordinate, the humanoid (x, y, z, quaternion) as the third.
-    up = 2 if env.name == "humanoid" else 1
+    # Planar robots have their height as the second coordinate, others (x, y, z, quaternion) as the third.
+    up = 2 if env.name in ("humanoid", "ant") else 1
     physics = inside.pipeline_init(inside.sys.init_q.at[up].add(height), jnp.zeros(inside.sys.qd_size()))
-    return RobotState(physics, jnp.zeros(env.obs_size), jnp.zeros(2))
+    return RobotState(physics, jnp.zeros(env.obs_size), jnp.zeros(len(env.measure_names)))
 
 
 def settle(env: Environment, state: RobotState) -> np.ndarray:
@@ -94,44 +102,62 @@ def settle(env: Environment, state: RobotState) -> np.ndarray:
 
 
 def test_feet_touch_when_standing_and_not_in_the_air(robot):
-    # Let go in its initial pose, each robot comes to rest on both feet within a moment, before it falls over.
+    # Let go in its initial pose, each robot comes to rest on all its feet within a moment, before it falls over.
     landed = settle(robot, lifted(robot, 0.0))
     assert (landed == 1.0).all(axis=1).any()
     flying = settle(robot, lifted(robot, 50.0))  # still falling after the two seconds that it is watched
     assert (flying == 0.0).all()
 
 
+def test_feet_touch_where_the_contact_distance_is_not_positive(robot):
+    """δ(s) of random motion against contact distances, foot by foot, by the names of the links and shapes they join."""
+    from brax import contact, envs
+
+    plain = envs.get_environment(robot.name, backend="spring")
+    model = plain.sys.mj_model
+    link_of = {model.geom(i).name: int(model.geom_bodyid[i]) - 1 for i in range(model.ngeom)}
+    link_of |= {model.body(i).name: i - 1 for i in range(1, model.nbody)}
+    contacts = jax.jit(lambda physics: contact.get(plain.sys, physics.x))
+    step, state = jax.jit(robot.step), jax.jit(robot.reset)(jax.random.key(2))
+    seen = set()
+    for action in np.random.default_rng(1).uniform(-1, 1, (60, robot.action_size)).astype(np.float32):
+        found = contacts(state.physics)
+        pairs = list(zip(*(np.asarray(link) for link in found.link_idx), np.asarray(found.dist), strict=True))
+        for foot, proxy in zip(robot.measure_names, np.asarray(state.proxy), strict=True):
+            distances = [distance for first, second, distance in pairs if link_of[foot] in (first, second)]
+            assert distances and proxy == (min(distances) <= 0)
+            seen.add(float(proxy))
+        state, outcome = step(state, action)
+        assert np.isfinite(state.obs).all() and np.isfinite(outcome.reward) and outcome.finite
+    assert seen == {0.0, 1.0}
+
+
 def test_sizes_are_those_of_the_robot(robot):
     state = jax.eval_shape(robot.reset, jax.random.key(0))
     assert state.obs.shape == (robot.obs_size,)
-    assert state.proxy.shape == (len(robot.measure_names),) == (2,)
+    assert state.proxy.shape == (len(robot.measure_names),) == (FEET[robot.name],)
 
 
-def test_a_foot_that_is_not_there_is_refused():
-    with pytest.raises(ValueError, match="not links of this robot"):
-        brax_robots.foot_links(["torso", "leg"], ("leg", "paw"))
-
-
-@pytest.mark.parametrize("name, backend", [("dog", "spring"), ("walker2d", "clay")])
-def test_unknown_robot_or_backend_is_refused(name, backend):
-    with pytest.raises(ValueError, match="choose one of"):
-        brax_robots.make(name, backend)
+@pytest.mark.parametrize("name, backend", [("dog", None), ("dog", "spring"), ("walker2d", "clay")])
+def test_an_unknown_robot_or_backend_is_refused(name, backend):
+    with pytest.raises(ConfigError, match="choose one of"):
+        register.make(name, backend)
 
 
 @pytest.fixture(scope="module")
 def driven():
-    """A window of walker2d, 8 robots, time limit 140 steps: half tremble and last, half pull their legs in and fall."""
-    env = brax_robots.make("walker2d")
+    """A rollout of walker2d, 8 robots, time limit 140 steps: half tremble and last, half fall."""
+    env = register.make("walker2d")
 
     def act(noise, obs):
         return jnp.clip(0.6 * noise, -1.0, 1.0).at[:4].set(-1.0), jnp.zeros(len(noise))
 
-    run = jax.jit(lambda key: window(env, act, start(env, key, 140), 150, 140))
+    run = jax.jit(lambda key: rollout(env, act, start(env, key, 140), 150, 140))
     _, transitions, _ = run(jax.random.split(jax.random.key(1), 8))
     return jax.tree.map(np.asarray, transitions)
 
 
-def test_falls_and_time_limits_are_told_apart(driven):
+def test_falls_terminate_and_time_limits_truncate(driven):
     assert driven.terminated.any() and driven.truncated.any()
     assert not (driven.terminated & driven.truncated).any()
     # A fall leaves walker2d's healthy range of trunk height (0.8 to 2 m) or of trunk angle (±1 rad).
@@ -155,7 +181,7 @@ def test_steps_of_an_episode_follow_each_other(driven):
 
 
 def test_diverged_physics_ends_the_episode_with_finite_numbers():
-    env = brax_robots.make("walker2d")
+    env = register.make("walker2d")
     state = env.reset(jax.random.key(0))
     broken = state._replace(physics=jax.tree.map(lambda x: x * jnp.nan, state.physics))
     after, outcome = jax.jit(env.step)(broken, jnp.zeros(env.action_size))

@@ -1,1 +1,1 @@
-"""The paper's reward models, one file each; ``qdil.methods`` names them in the order of its Table 1."""
+"""The paper's reward models, one file each; ``qdil.methods`` lists them in the order of the paper's Table 1."""

@@ -1,7 +1,13 @@
-"""AIRL (Fu et al., 2017) as the paper uses it: a discriminator of (s, a, s'), its log-odds as reward (Appendix C).
+"""AIRL as the paper uses it (Appendix C): a discriminator D(s, a, s') trained as GAIL's, its log-odds as the reward.
 
-r = log D(s, a, s') − log(1 − D(s, a, s')), which is the discriminator's logit: of either sign, without bound.
-Fu et al. give D the form exp(f)/(exp(f) + π); the paper's is logistic regression, and its text mentions no penalty.
+r = log D(s, a, s') − log(1 − D(s, a, s')), which is the discriminator's logit: either sign, no bound.
+Not to be confused with the AIRL of Fu et al., whose discriminator has the form exp(f)/(exp(f) + π(a|s)) with
+f(s, s') = g(s) + γh(s') − h(s), so that g recovers a reward; nor with GAIL, whose reward −log(1−D) is never negative.
+The paper's discriminator is plain logistic regression, and its text mentions no gradient penalty, so there is none.
+
+Reference
+- J. Fu, K. Luo, S. Levine, 2017. Learning Robust Rewards with Adversarial Inverse Reinforcement Learning.
+  arXiv:1710.11248.
 """
 
 import jax
@@ -16,12 +22,12 @@ from qdil.types import Params, RewardMemory
 
 
 def transition_features(inputs: Inputs) -> jax.Array:
-    """(s, a, δ, s') side by side."""
+    """(s, a, δ, s') joined into one vector, (…, F)."""
     return jnp.concatenate([features(inputs), inputs.next_obs], axis=-1)
 
 
 def airl(config: Config, widths: Inputs) -> InputModel:
-    """Rewards log D − log(1−D)."""
+    """The reward log D − log(1−D), of either sign."""
 
     def loss(params: Params, key: jax.Array, expert: Inputs, policy: Inputs) -> tuple[jax.Array, dict[str, jax.Array]]:
         return cross_entropy(logits(params, transition_features(expert)), logits(params, transition_features(policy)))

@@ -1,11 +1,18 @@
-"""GAIL (Ho & Ermon, 2016; eq. 7) and, with δ(s) among its inputs, measure-conditioned GAIL (eq. 3).
+"""GAIL (eq. 7) and, with δ(s) among its inputs, measure-conditioned GAIL (eq. 3).
 
-Signs: D_ψ = sigmoid(logit) is the probability of *expert*. The discriminator lowers
-E_D[−log D] + E_π[−log(1−D)], the policy is paid −log(1−D) = softplus(logit) ≥ 0, so every step alive pays.
+Signs: D_ψ = sigmoid(logit) is the probability that a step is the *expert's*. The discriminator minimises
+E_D[−log D] + E_π[−log(1−D)]. The reward of a step is −log(1−D) = softplus(logit) ≥ 0: higher for steps that look like
+the expert's, and never negative, so a robot gains by staying alive whatever it does.
+Not to be confused with AIRL's reward log D − log(1−D), which has either sign.
 
-Departures from the authors' released program: expert and policy rows share one normaliser (``expert_obs``) and are
-drawn at random (there: always the first batch of expert rows); the gradient penalty, which the paper does not mention,
+Departures from the authors' released program: expert and policy observations share one normaliser (``expert_obs``);
+expert rows are drawn at random (there: always the first batch); the gradient penalty, which the paper does not mention,
 mixes per sample (``penalty_mixing``; there: per element).
+
+References
+- J. Ho, S. Ermon, 2016. Generative Adversarial Imitation Learning. arXiv:1606.03476.
+- I. Gulrajani, F. Ahmed, M. Arjovsky, V. Dumoulin, A. Courville, 2017. Improved Training of Wasserstein GANs.
+  arXiv:1704.00028 (the gradient penalty).
 """
 
 from typing import Any
@@ -21,24 +28,27 @@ from qdil.types import Params, RewardMemory
 
 
 def logits(params: Params, x: jax.Array) -> jax.Array:
-    """log D − log(1−D), (…,), of features (…, F)."""
+    """The logit log D − log(1−D) (…,) of features (…, F)."""
     return mlp(params, x)[..., 0]
 
 
 def mixing_weights(key: jax.Array, x: jax.Array, mixing: str) -> jax.Array:
-    """Uniform weights that mix two batches like ``x`` (N, F): one per "sample" (N, 1) or one per "element" (N, F)."""
+    """Weights in [0, 1) that mix two batches like ``x`` (N, F): one per "sample" (N, 1) or per "element" (N, F)."""
     return jax.random.uniform(key, (len(x), 1 if mixing == "sample" else x.shape[1]))
 
 
 def gradient_penalty(logit: Any, expert: jax.Array, policy: jax.Array, mix: jax.Array) -> jax.Array:
-    """Mean (‖∇_x logit(x̂)‖ − 1)² at x̂ = mix·expert + (1−mix)·policy (Gulrajani et al., 2017)."""
+    """The mean of (‖∇_x logit(x̂)‖ − 1)² at x̂ = mix·expert + (1−mix)·policy (Gulrajani et al., 2017).
+
+    ``expert`` and ``policy`` (N, F); ``logit`` is a function of one row (F,).
+    """
     between = mix * expert + (1.0 - mix) * policy
     slopes = jax.vmap(jax.grad(logit))(between)
     return jnp.mean(jnp.square(jnp.sqrt(jnp.sum(jnp.square(slopes), axis=-1) + 1e-12) - 1.0))
 
 
 def cross_entropy(expert_logit: jax.Array, policy_logit: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """E_D[−log D] + E_π[−log(1−D)] of logits (N,) each."""
+    """E_D[−log D] + E_π[−log(1−D)], from logits (N,) of expert and of policy rows, and which share D gets right."""
     total = jnp.mean(jax.nn.softplus(-expert_logit)) + jnp.mean(jax.nn.softplus(policy_logit))
     info = {
         "discriminator_loss": total,
@@ -51,13 +61,16 @@ def cross_entropy(expert_logit: jax.Array, policy_logit: jax.Array) -> tuple[jax
 def discriminator_loss(
     params: Params, expert: jax.Array, policy: jax.Array, mix: jax.Array, penalty: float
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Eq. 3's inner objective plus ``penalty`` times the gradient penalty; features (N, F) each."""
+    """The discriminator's loss of eq. 3 (eq. 7 without δ) plus ``penalty`` times the gradient penalty.
+
+    ``expert`` and ``policy`` are features (N, F), ``mix`` weights of ``mixing_weights``.
+    """
     total, info = cross_entropy(logits(params, expert), logits(params, policy))
     return total + penalty * gradient_penalty(lambda x: logits(params, x), expert, policy, mix), info
 
 
 def gail(config: Config, widths: Inputs) -> InputModel:
-    """Rewards −log(1−D(s, a, δ)) ≥ 0."""
+    """The reward −log(1−D(s, a, δ)) ≥ 0."""
 
     def loss(params: Params, key: jax.Array, expert: Inputs, policy: Inputs) -> tuple[jax.Array, dict[str, jax.Array]]:
         x, y = features(expert), features(policy)

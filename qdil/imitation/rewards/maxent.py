@@ -1,10 +1,15 @@
-"""Maximum-entropy IRL (Ziebart et al., 2008; with a network, Wulfmeier et al., 2015).
+"""Maximum-entropy inverse reinforcement learning with a reward network ("Max-Ent" in the paper's figures).
 
-The likelihood of the demonstrations under p(τ) ∝ exp(Σ r_ψ) has the gradient E_D[∇r_ψ] − E_π[∇r_ψ], with π the policy
-that is optimal for r_ψ: here the policy being trained, whose fresh steps stand for that expectation.
+The log likelihood of the demonstrations under p(τ) ∝ exp(Σ r_ψ) has the gradient E_D[∇r_ψ] − E_π[∇r_ψ], where π is the
+policy that is optimal for r_ψ. Here π is the policy in training, and its fresh steps estimate the second expectation.
 
-A reward that only ever rises on one set and falls on another has no bound, so the network's output goes through tanh:
-r ∈ (−1, 1).
+This gradient alone would let r_ψ grow without bound on expert steps and fall without bound on policy steps, so the
+network's output passes through tanh: r ∈ (−1, 1).
+Not to be confused with maximum-entropy reinforcement learning (soft actor-critic), which adds entropy to the return.
+
+References
+- B. D. Ziebart, A. Maas, J. A. Bagnell, A. K. Dey, 2008. Maximum Entropy Inverse Reinforcement Learning. AAAI.
+- M. Wulfmeier, P. Ondruska, I. Posner, 2015. Maximum Entropy Deep Inverse Reinforcement Learning. arXiv:1507.04888.
 """
 
 import jax
@@ -23,12 +28,15 @@ def rewards_of(params: Params, x: jax.Array) -> jax.Array:
 
 
 def negative_log_likelihood_gap(params: Params, expert: jax.Array, policy: jax.Array) -> jax.Array:
-    """E_π[r] − E_D[r]: its gradient in ψ is that of the demonstrations' negative log likelihood per step."""
+    """E_π[r] − E_D[r] (): its gradient in ψ is that of the demonstrations' negative log likelihood per step.
+
+    ``expert`` and ``policy`` are features (N, F); their numbers of rows may differ.
+    """
     return jnp.mean(rewards_of(params, policy)) - jnp.mean(rewards_of(params, expert))
 
 
 def maxent(config: Config, widths: Inputs) -> InputModel:
-    """Rewards r_ψ(s, a, δ)."""
+    """The reward r_ψ(s, a, δ) ∈ (−1, 1)."""
 
     def loss(params: Params, key: jax.Array, expert: Inputs, policy: Inputs) -> tuple[jax.Array, dict[str, jax.Array]]:
         gap = negative_log_likelihood_gap(params, features(expert), features(policy))

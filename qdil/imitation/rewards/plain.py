@@ -1,4 +1,4 @@
-"""Rewards that imitate nobody: the environment's own (PPGA, the expert), and none at all."""
+"""Rewards without imitation: the environment's own (method ``true``: PPGA, the expert) and zero (method ``zero``)."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from qdil.types import RewardContext, RewardMemory, RewardState, Transitions
 
 
 def true_reward(config: Config) -> RewardModel:
-    """r is the environment's own."""
+    """r is the environment's own reward; with it, the search is PPGA and trains the expert."""
 
     def reward(
         state: RewardState, memory: RewardMemory, context: RewardContext, transitions: Transitions
@@ -20,7 +20,7 @@ def true_reward(config: Config) -> RewardModel:
 
 
 def zero_reward(config: Config) -> RewardModel:
-    """r = 0, so that ``mbo-zero`` is the bonus alone."""
+    """r = 0 everywhere, so that ``mbo-zero`` maximises the measure bonus alone."""
 
     def reward(
         state: RewardState, memory: RewardMemory, context: RewardContext, transitions: Transitions

@@ -1,14 +1,18 @@
-"""PWIL (Dadashi et al., 2021; eqs. 11-15): a reward from a greedy coupling of the episode with the demonstrations.
+"""PWIL (eqs. 11-15): the reward is high where a step is close to demonstrated steps that are not used up yet.
 
-Every expert row has mass 1/N, every step of an episode mass 1/T (T the time limit). A step is coupled with the nearest
-expert rows that have mass left, nearest first, until its own is spent (eqs. 13, 14); what it takes is gone for the
-rest of the episode, and all of it is back in the next. With c the cost of the step's coupling (distance times mass),
-r = α exp(−β T c / √F) ≥ 0, F the number of inputs, α = β = 5: the original's decreasing f of eq. 15.
+Each of the N expert rows begins an episode with mass 1/N, and each step of the policy has mass 1/T, T the time limit.
+A step takes its mass from expert rows, nearest first, from those that have some left (eqs. 13, 14). Mass that was taken
+is gone until the episode ends. The cost c of a step is the sum of distance times mass taken, and
+r = α exp(−β T c / √F) ∈ (0, α] with F the number of inputs and α = β = 5: the decreasing f of eq. 15, from Dadashi et
+al. The sum of the costs bounds the Wasserstein distance between the episode and the demonstrations from above.
 
-Distances are Euclidean over (s, a, δ), each input divided by its spread over the demonstrations, as in the original.
-Masses are counted in units of 1/(N T), so that they are integers and no rounding can lose any.
-Departure from the authors' released program: the coupling is carried through the episode (``pwil_coupling=step``
-restores all mass at every step, as there, which makes the reward a plain distance to the nearest rows).
+Distances are Euclidean over (s, a, δ), each input divided by its spread over the demonstrations, as in Dadashi et al.
+Masses are integers, in units of 1/(N T), so that rounding loses none.
+Departure from the authors' released program: mass stays taken for the rest of the episode. ``pwil_coupling=step``
+restores it after every step, as there; the reward is then a function of the distance to the nearest rows.
+
+Reference
+- R. Dadashi, L. Hussenot, M. Geist, O. Pietquin, 2020. Primal Wasserstein Imitation Learning. arXiv:2006.04678.
 """
 
 from typing import Any, NamedTuple
@@ -21,24 +25,25 @@ from qdil.imitation.reward_model import InputModel, Inputs, features
 
 
 class PwilState(NamedTuple):
-    """The expert's rows, in the units in which distances are measured."""
+    """The expert's features in units of their spread; they never change during a run."""
 
     atoms: jax.Array  # (N, F)
-    spread: jax.Array  # (F,) what inputs are divided by
+    spread: jax.Array  # (F,) by which features are divided
 
 
 def distances(x: jax.Array, atoms: jax.Array) -> jax.Array:
-    """Euclidean distances (E, N) of rows (E, F) and (N, F)."""
+    """Euclidean distances (E, N) between each of ``x`` (E, F) and each of ``atoms`` (N, F)."""
     products = jnp.matmul(x, atoms.T, precision="highest")
     squares = jnp.sum(jnp.square(x), axis=-1)[:, None] + jnp.sum(jnp.square(atoms), axis=-1) - 2.0 * products
     return jnp.sqrt(jnp.maximum(squares, 0.0))
 
 
 def couple(distance: jax.Array, mass: jax.Array, amount: int) -> tuple[jax.Array, jax.Array]:
-    """Greedy couplings of one step of every robot (eqs. 13, 14): ``distance`` (E, N), ``mass`` (E, N) left, integer.
+    """Couple one step of each of E robots with N expert rows, greedily (eqs. 13, 14).
 
-    Takes ``amount`` of mass from the nearest rows that have some. Returns the mass left and the cost (E,), distance
-    times mass taken; if less mass is left than asked for, all of it is taken.
+    ``distance`` (E, N); ``mass`` (E, N) int32 is what each row has left. Takes ``amount`` of mass for every robot from
+    its nearest rows that have some, or all that is left if that is less. Returns the remaining mass (E, N) and the cost
+    (E,): the sum of distance times mass taken.
     """
     robots = jnp.arange(len(distance))
 
@@ -59,24 +64,24 @@ def couple(distance: jax.Array, mass: jax.Array, amount: int) -> tuple[jax.Array
 
 
 def pwil(config: Config, widths: Inputs) -> InputModel:
-    """Rewards f(c) ∈ (0, α]."""
+    """The reward f(c) ∈ (0, α] of eq. 15."""
     steps, size = config.simulation.episode_length, widths.obs + widths.action + widths.proxy
 
     def init(key: jax.Array, expert: Inputs) -> PwilState:
         x = features(expert)
         spread = jnp.std(x, axis=0)
-        spread = jnp.where(spread < 1e-3, 1.0, spread)  # what never moves in the demonstrations counts as it is
+        spread = jnp.where(spread < 1e-3, 1.0, spread)  # a feature that never changes there is not divided
         return PwilState(x / spread, spread)
 
     def begin(state: PwilState, num_envs: int) -> jax.Array:
-        """Mass left (E, N): each row holds T units of 1/(N T)."""
+        """Mass (E, N) before an episode: each row holds T units of 1/(N T)."""
         return jnp.full((num_envs, len(state.atoms)), steps, jnp.int32)
 
     def reward(state: PwilState, mass: jax.Array, inputs: Inputs, ended: jax.Array) -> tuple[Any, jax.Array]:
         count = len(state.atoms)
 
-        def one_step(mass: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            x, ended = now
+        def one_step(mass: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            x, ended = step
             left, cost = couple(distances(x, state.atoms), mass, count)
             restored = ended[:, None] if config.reward.pwil_coupling == "episode" else jnp.ones_like(ended)[:, None]
             return jnp.where(restored, steps, left), cost / (count * steps)

@@ -1,12 +1,18 @@
-"""VAIL (Peng et al., 2018; eqs. 5, 6, 8): GAIL through an information bottleneck.
+"""VAIL (eqs. 5, 6, 8): GAIL whose discriminator sees a step through an information bottleneck.
 
-An encoder E'(z|s, a, δ) = N(μ, diag σ²) stands before the discriminator D(z), and
-min_{D,E'} max_{β≥0} E_D[−log D(z)] + E_π[−log(1−D(z))] + β (E_mixture[KL(E'(z|·) ‖ N(0, I))] − I_c)
-with z ~ E' and the mixture half expert, half policy. Signs as in GAIL; the reward is −log(1−D(μ)) ≥ 0.
+Also known as the variational discriminator bottleneck. An encoder E'(z|s, a, δ) = N(μ, diag σ²) maps a step to a latent
+vector z, and the discriminator D reads z alone. With expert and policy steps in equal parts as the mixture,
+min_{D,E'} max_{β≥0} E_D[−log D(z)] + E_π[−log(1−D(z))] + β (E_mixture[KL(E'(z|·) ‖ N(0, I))] − I_c),  z ~ E'.
+Signs are as in GAIL; the reward is −log(1−D(μ)) ≥ 0.
 
-Eqs. 5 and 8 print the expert's term as log(−D(z)), which is undefined for D ∈ (0, 1); −log D(z), as in Peng et al., is
-what is meant. Like GAIL here it has the gradient penalty, through the mean latent.
-Departure from the authors' released program: β adapts and z is sampled (``vail_beta=fixed``: weight 1, mean latent).
+Eqs. 5 and 8 print the expert's term as log(−D(z)), which is undefined for D ∈ (0, 1). We take −log D(z), as in Peng et
+al. The gradient penalty is GAIL's, taken through the mean latent μ.
+Departure from the authors' released program: β adapts and z is sampled (``vail_beta=fixed``: β = 1 and z = μ, as
+there).
+
+Reference
+- X. B. Peng, A. Kanazawa, S. Toyer, P. Abbeel, S. Levine, 2018. Variational Discriminator Bottleneck: Improving
+  Imitation Learning, Inverse RL, and GANs by Constraining Information Flow. arXiv:1810.00821.
 """
 
 from typing import NamedTuple
@@ -24,7 +30,7 @@ from qdil.types import Params, RewardMemory
 
 
 class VailState(NamedTuple):
-    """Encoder and discriminator, their optimiser, and the multiplier β of the information constraint."""
+    """Weights of encoder and discriminator, their optimiser's state, and the multiplier β of the constraint."""
 
     params: Params
     opt: optax.OptState
@@ -32,25 +38,25 @@ class VailState(NamedTuple):
 
 
 def encode(params: Params, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Mean and log deviation (…, Z) of E'(z|x)."""
+    """Mean μ and log deviation log σ, both (…, Z), of E'(z|x) for features ``x`` (…, F)."""
     mean, log_std = jnp.split(mlp(params["encoder"], x), 2, axis=-1)
     return mean, jnp.clip(log_std, -10.0, 5.0)
 
 
 def kl_to_standard_normal(mean: jax.Array, log_std: jax.Array) -> jax.Array:
-    """KL(N(μ, diag σ²) ‖ N(0, I)) in nats, (…,)."""
+    """KL(N(μ, diag σ²) ‖ N(0, I)) (…,) in nats, from μ and log σ (…, Z)."""
     return 0.5 * jnp.sum(jnp.square(mean) + jnp.exp(2.0 * log_std) - 1.0 - 2.0 * log_std, axis=-1)
 
 
 def next_beta(beta: jax.Array, information: jax.Array, limit: float, rate: float) -> jax.Array:
-    """One step of dual ascent: β rises while the bottleneck lets more than ``limit`` nats through, never below 0."""
+    """β after one step of dual ascent: it rises while ``information`` exceeds ``limit`` (nats), and stays ≥ 0."""
     return jnp.maximum(0.0, beta + rate * (information - limit))
 
 
 def loss(
     params: Params, beta: jax.Array, expert: jax.Array, policy: jax.Array, key: jax.Array, config: Config
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Eq. 5's Lagrangian at ``beta`` on feature rows (N, F), with the gradient penalty."""
+    """The Lagrangian of eq. 5 at ``beta``, plus the gradient penalty, on features (N, F) of expert and policy steps."""
     noise_key, mix_key = jax.random.split(key)
     mean, log_std = encode(params, jnp.concatenate([expert, policy]))
     noise = jax.random.normal(noise_key, mean.shape) if config.reward.vail_beta == "adaptive" else 0.0
@@ -64,7 +70,7 @@ def loss(
 
 
 def vail(config: Config, widths: Inputs) -> InputModel:
-    """Rewards −log(1−D(μ_E'(s, a, δ))) ≥ 0 (eq. 6)."""
+    """The reward −log(1−D(μ(s, a, δ))) ≥ 0 (eq. 6)."""
     opt = optax.adam(config.reward.reward_learning_rate)
     size = widths.obs + widths.action + widths.proxy
     fixed = config.reward.vail_beta == "fixed"

@@ -1,15 +1,16 @@
-"""A function of one robot made into one of many whose robots lie last in memory, as ``jax.vmap`` never lays them.
+"""``batch_last``: like ``jax.vmap``, but with the batch axis last in memory, which makes a robot simulator faster.
 
-A simulator's arrays end in three coordinates, or four. With robots before them, a processor's vector units, eight or
-sixteen numbers wide, get three at a time, from places far apart; with robots behind them, as many robots as they hold.
+The arrays of a simulator end in short axes: 3 coordinates of a vector, 4 of a quaternion. ``jax.vmap`` puts the batch
+axis of E robots in front, (E, …, 3), so a processor's vector unit, which works on 8 or 16 neighbouring numbers at once,
+finds only 3 of a kind side by side. With the batch axis last, (…, 3, E), it finds as many as there are robots.
 
-What is given is the function's trace, operation by operation. The rules below know how an operation on one robot's
-arrays (…) becomes one on all robots' (…, E); an operation without a rule goes through ``jax.vmap``, which is right too,
-and slower.
+JAX has no option for that, so ``batch_last`` traces the function of one robot (``jax.make_jaxpr``) and interprets the
+trace operation by operation. Each rule below turns an operation on one robot's array (…) into the same operation on all
+robots' arrays (…, E). An operation without a rule is given to ``jax.vmap``, which is correct, too, but slower.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -20,114 +21,125 @@ from jax import lax
 from jax.extend.core import Jaxpr, JaxprEqn, Literal
 
 from qdil.robots.batched import fast_trig
-from qdil.robots.batched.constant_indices import BY_NUMPY, is_known, reordered
+from qdil.robots.batched.constant_indices import NUMPY_RULES, gathered_ranges, is_constant
 
-FEW = 8  # a sum over so many is written out: XLA's reductions are made for more
+FEW = 8  # sums of at most so many terms are written out as additions: XLA's reductions are made for longer sums
 
 
-class PerRobot(NamedTuple):
-    """An array of which every robot has its own; all others are shared."""
+class Batched(NamedTuple):
+    """A value that differs between robots."""
 
     values: jax.Array  # (…, E)
 
 
-Value = Any  # a ``PerRobot``, or an array that all robots share
-Rule = Callable[[JaxprEqn, Sequence[Value], int], jax.Array]  # -> (…, E)
-RULES: dict[str, Rule] = {}
+Value = Any  # a ``Batched``, or a plain array (…) that all robots share
+Rule = Callable[[JaxprEqn, Sequence[Value], int], jax.Array]  # (operation, its operands, E) -> its result (…, E)
+RULES: dict[str, Rule] = {}  # by the name of the operation's primitive
 
 
-def batch_last(function: Callable[..., Any], *like: Any) -> Callable[..., Any]:
-    """``function`` of one robot's arrays, shaped ``like`` these, as a function of E robots'.
+def batch_last(function: Callable[..., Any], *template: Any) -> Callable[..., Any]:
+    """The function of E robots' arrays that applies ``function`` to each robot; ``template`` gives one robot's shapes.
 
-    Its arguments and results are trees of arrays with axis (E) in front, all of them, as with ``jax.vmap(function)``;
-    numbers differ from it by rounding.
+    As with ``jax.vmap(function)``, its arguments and results are trees of arrays with axis (E) in front, here of all of
+    them; they are transposed at its beginning and end. Results differ from ``jax.vmap``'s by rounding only.
     """
-    trace, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
+    trace, shapes = jax.make_jaxpr(function, return_shape=True)(*template)
     consts = [np.asarray(const) for const in trace.consts]
 
-    def of_many(*args: Any) -> Any:
+    def batched(*args: Any) -> Any:
         leaves = jax.tree.leaves(args)
         count = len(leaves[0])
-        results = _run(trace.jaxpr, consts, [PerRobot(jnp.moveaxis(leaf, 0, -1)) for leaf in leaves], count)
-        each = [jnp.moveaxis(_of_each(result, count), -1, 0) for result in results]
-        return jax.tree.unflatten(jax.tree.structure(shapes), each)
+        results = _interpret(trace.jaxpr, consts, [Batched(jnp.moveaxis(leaf, 0, -1)) for leaf in leaves], count)
+        batch_first = [jnp.moveaxis(_expand(result, count), -1, 0) for result in results]
+        return jax.tree.unflatten(jax.tree.structure(shapes), batch_first)
 
-    return of_many
+    return batched
 
 
-def _run(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Value], count: int) -> list[Value]:
-    """Every operation of a trace in its order."""
-    known: dict[Any, Value] = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*consts, *args), strict=True))
+def _interpret(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Value], count: int) -> list[Value]:
+    """Carry out every operation of a trace, in order, for ``count`` robots."""
+    values: dict[Any, Value] = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*consts, *args), strict=True))
 
-    def read(name: Any) -> Value:
-        return np.asarray(name.val, _dtype(name)) if isinstance(name, Literal) else known[name]
+    def read(variable: Any) -> Value:
+        if isinstance(variable, Literal):
+            return np.asarray(variable.val, _dtype(variable))
+        return values[variable]
 
     for eqn in jaxpr.eqns:
-        results = _do(eqn, [read(name) for name in eqn.invars], count)
-        known.update(zip(eqn.outvars, results, strict=True))
-    return [read(name) for name in jaxpr.outvars]
+        results = _apply(eqn, [read(variable) for variable in eqn.invars], count)
+        values.update(zip(eqn.outvars, results, strict=True))
+    return [read(variable) for variable in jaxpr.outvars]
 
 
-def _do(eqn: JaxprEqn, given: Sequence[Value], count: int) -> list[Value]:
-    """One operation: within, if it is a function of its own; once for all, if robots share what it needs; by a rule."""
+def _apply(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> list[Value]:
+    """The results of one operation, by the first of these that fits.
+
+    An inner function is interpreted. Integer constants stay constants, by NumPy. What all robots share is computed
+    once. Otherwise a rule applies, or else ``jax.vmap``.
+    """
     name = eqn.primitive.name
     if name in ("jit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
         inner = eqn.params.get("jaxpr") or eqn.params["call_jaxpr"]
-        return _run(inner.jaxpr, inner.consts, given, count)
-    if name in BY_NUMPY and all(is_known(value) for value in given):
-        return [BY_NUMPY[name](eqn, *given)]
-    if not any(isinstance(value, PerRobot) for value in given):
-        result = _bind(eqn, *given)
+        return _interpret(inner.jaxpr, inner.consts, operands, count)
+    if name in NUMPY_RULES and all(is_constant(operand) for operand in operands):
+        return [NUMPY_RULES[name](eqn, *operands)]
+    if not any(isinstance(operand, Batched) for operand in operands):
+        result = _bind(eqn, *operands)
         return list(result) if eqn.primitive.multiple_results else [result]
     if name == "scan":
-        return _scan(eqn, given, count)
+        return _scan(eqn, operands, count)
     if name in RULES and not eqn.primitive.multiple_results:
-        return [PerRobot(RULES[name](eqn, given, count))]
-    return _by_vmap(eqn, given)
+        return [Batched(RULES[name](eqn, operands, count))]
+    return _by_vmap(eqn, operands)
 
 
-def _bind(eqn: JaxprEqn, *given: Any) -> Any:
-    return eqn.primitive.bind(*given, **eqn.primitive.get_bind_params(eqn.params))
+def _bind(eqn: JaxprEqn, *arrays: Any) -> Any:
+    """The operation itself, on plain arrays."""
+    return eqn.primitive.bind(*arrays, **eqn.primitive.get_bind_params(eqn.params))
 
 
-def _by_vmap(eqn: JaxprEqn, given: Sequence[Value]) -> list[Value]:
-    axes = [-1 if isinstance(value, PerRobot) else None for value in given]
-    bare = [value.values if isinstance(value, PerRobot) else value for value in given]
-    result = jax.vmap(lambda *values: _bind(eqn, *values), in_axes=axes, out_axes=-1)(*bare)
-    return [PerRobot(one) for one in (result if eqn.primitive.multiple_results else [result])]
+def _by_vmap(eqn: JaxprEqn, operands: Sequence[Value]) -> list[Value]:
+    """The operation as ``jax.vmap`` batches it, along the last axis."""
+    axes = [-1 if isinstance(operand, Batched) else None for operand in operands]
+    arrays = [operand.values if isinstance(operand, Batched) else operand for operand in operands]
+    result = jax.vmap(lambda *each: _bind(eqn, *each), in_axes=axes, out_axes=-1)(*arrays)
+    return [Batched(one) for one in (result if eqn.primitive.multiple_results else [result])]
 
 
-def _scan(eqn: JaxprEqn, given: Sequence[Value], count: int) -> list[Value]:
-    """A loop whose body is done for all robots; what it carries on becomes each robot's own."""
-    inner, consts, carries = eqn.params["jaxpr"], eqn.params["num_consts"], eqn.params["num_carry"]
-    shared, begun, each_turn = given[:consts], given[consts : consts + carries], given[consts + carries :]
-    own = [isinstance(value, PerRobot) for value in each_turn]
+def _scan(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> list[Value]:
+    """A ``lax.scan`` whose body is interpreted for all robots. Its carry is batched, even if it begins as shared."""
+    inner, num_consts, num_carry = eqn.params["jaxpr"], eqn.params["num_consts"], eqn.params["num_carry"]
+    consts, operands = operands[:num_consts], operands[num_consts:]
+    first_carry, sequences = operands[:num_carry], operands[num_carry:]
+    is_batched = [isinstance(sequence, Batched) for sequence in sequences]
 
-    def body(carry: list[jax.Array], turn: list[jax.Array]) -> tuple[list[jax.Array], list[jax.Array]]:
-        these = [PerRobot(value) if is_own else value for value, is_own in zip(turn, own, strict=True)]
-        results = _run(inner.jaxpr, inner.consts, [*shared, *map(PerRobot, carry), *these], count)
-        each = [_of_each(result, count) for result in results]
-        return each[:carries], each[carries:]
+    def body(carry: list[jax.Array], rows: list[jax.Array]) -> tuple[list[jax.Array], list[jax.Array]]:
+        row_values = [Batched(row) if batched else row for row, batched in zip(rows, is_batched, strict=True)]
+        results = _interpret(inner.jaxpr, inner.consts, [*consts, *map(Batched, carry), *row_values], count)
+        expanded = [_expand(result, count) for result in results]
+        return expanded[:num_carry], expanded[num_carry:]
 
-    carry, turns = lax.scan(
+    last_carry, outputs = lax.scan(
         body,
-        [_of_each(value, count) for value in begun],
-        [value.values if is_own else value for value, is_own in zip(each_turn, own, strict=True)],
+        [_expand(value, count) for value in first_carry],
+        [value.values if batched else value for value, batched in zip(sequences, is_batched, strict=True)],
         eqn.params["length"],
         reverse=eqn.params["reverse"],
         unroll=eqn.params["unroll"],
     )
-    return [PerRobot(value) for value in (*carry, *turns)]
+    return [Batched(value) for value in (*last_carry, *outputs)]
 
 
-def _of_each(value: Value, count: int) -> jax.Array:
-    """The array (…, E) of a value, copied for every robot where they share it."""
-    if isinstance(value, PerRobot):
+def _expand(value: Value, count: int) -> jax.Array:
+    """A value as an array (…, E); a shared one is repeated for every robot."""
+    if isinstance(value, Batched):
         return value.values
     return jnp.broadcast_to(jnp.asarray(value)[..., None], (*jnp.shape(value), count))
 
 
 def _rule(*names: str) -> Callable[[Rule], Rule]:
+    """Register a function as the rule of these primitives."""
+
     def register(rule: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, rule))
         return rule
@@ -140,99 +152,104 @@ def _rule(*names: str) -> Callable[[Rule], Rule]:
     "is_finite", "le", "log", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow", "rsqrt", "select_n", "sign",
     "sin", "sqrt", "square", "sub", "tan", "tanh", "xor",
 )  # fmt: skip
-def _number_by_number(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    shape = (*_shape(eqn.outvars[0]), count)  # of all but single numbers, which stand for as many as there are
-    return _bind(eqn, *(jnp.broadcast_to(_of_each(value, count), shape) for value in given))
+def _elementwise(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    shape = (*_shape(eqn.outvars[0]), count)  # a scalar operand (E,) of ``clamp`` or ``select_n`` is broadcast, too
+    return _bind(eqn, *(jnp.broadcast_to(_expand(value, count), shape) for value in operands))
 
 
 @_rule("atan2", "acos", "asin")
-def _angle(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
+def _angle(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
     shape = (*_shape(eqn.outvars[0]), count)
-    return getattr(fast_trig, eqn.primitive.name)(*(jnp.broadcast_to(_of_each(value, count), shape) for value in given))
+    return getattr(fast_trig, eqn.primitive.name)(
+        *(jnp.broadcast_to(_expand(value, count), shape) for value in operands)
+    )
 
 
 @_rule("broadcast_in_dim")
-def _broadcast(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
+def _broadcast(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
     shape, axes = eqn.params["shape"], eqn.params["broadcast_dimensions"]
-    return lax.broadcast_in_dim(given[0].values, (*shape, count), (*axes, len(shape)))
+    return lax.broadcast_in_dim(operands[0].values, (*shape, count), (*axes, len(shape)))
 
 
 @_rule("reshape")
-def _reshape(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    return jnp.reshape(given[0].values, (*eqn.params["new_sizes"], count))
+def _reshape(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    return jnp.reshape(operands[0].values, (*eqn.params["new_sizes"], count))
 
 
 @_rule("transpose")
-def _transpose(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
+def _transpose(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
     order = eqn.params["permutation"]
-    return jnp.transpose(given[0].values, (*order, len(order)))
+    return jnp.transpose(operands[0].values, (*order, len(order)))
 
 
 @_rule("slice")
-def _slice(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
+def _slice(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
     first, limit, strides = (eqn.params[name] for name in ("start_indices", "limit_indices", "strides"))
-    return lax.slice(given[0].values, (*first, 0), (*limit, count), strides and (*strides, 1))
+    return lax.slice(operands[0].values, (*first, 0), (*limit, count), strides and (*strides, 1))
 
 
 @_rule("squeeze", "reduce_and", "reduce_or", "reduce_max", "reduce_min")
-def _along_its_axes(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    return _bind(eqn, given[0].values)  # axes are counted from the front
+def _same_axes(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    return _bind(eqn, operands[0].values)  # its axes are counted from the front, so the last one changes nothing
 
 
 @_rule("reduce_sum")
-def _sum(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    values, axes = given[0].values, eqn.params["axes"]
+def _sum(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    values, axes = operands[0].values, eqn.params["axes"]
     if len(axes) != 1 or values.shape[axes[0]] > FEW:
         return jnp.sum(values, axis=axes)
-    return _added(jnp.moveaxis(values, axes[0], 0))
+    return _sum_terms(jnp.moveaxis(values, axes[0], 0))
 
 
 @_rule("concatenate", "stack")
-def _joined(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    return _bind(eqn, *(_of_each(value, count) for value in given))
+def _concatenate(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    return _bind(eqn, *(_expand(value, count) for value in operands))
 
 
 @_rule("tile")
-def _tile(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    return jnp.tile(given[0].values, (*eqn.params["reps"], 1))
+def _tile(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    return jnp.tile(operands[0].values, (*eqn.params["reps"], 1))
 
 
 @_rule("dot_general")
-def _products(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    """Written out: a simulator's products are of vectors of three, where calling a kernel costs more than the sum."""
-    summed, together = eqn.params["dimension_numbers"]
-    if math.prod(_shape(eqn.invars[0])[axis] for axis in summed[0]) > FEW:
-        return _by_vmap(eqn, given)[0].values
+def _dot_general(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    """A product of small matrices written out as multiplications and additions.
+
+    A simulator multiplies vectors of 3, for which calling a matrix kernel costs more than the product itself.
+    """
+    contracted, batch = eqn.params["dimension_numbers"]
+    if math.prod(_shape(eqn.invars[0])[axis] for axis in contracted[0]) > FEW:
+        return _by_vmap(eqn, operands)[0].values
     sides, free = [], []
-    for name, value, gone, kept in zip(eqn.invars, given, summed, together, strict=True):
-        rest = [axis for axis in range(len(_shape(name))) if axis not in (*gone, *kept)]
-        own = isinstance(value, PerRobot)
-        values = value.values if own else jnp.asarray(value)[..., None]  # (…, E) or (…, 1)
-        values = jnp.transpose(values, (*gone, *kept, *rest, values.ndim - 1))
-        sides.append(values.reshape(-1, *values.shape[len(gone) :]))  # (summed, together…, rest…, E)
-        free.append(len(rest))
+    for variable, operand, summed_axes, batch_axes in zip(eqn.invars, operands, contracted, batch, strict=True):
+        free_axes = [axis for axis in range(len(_shape(variable))) if axis not in (*summed_axes, *batch_axes)]
+        batched = isinstance(operand, Batched)
+        values = operand.values if batched else jnp.asarray(operand)[..., None]  # (…, E) or (…, 1)
+        values = jnp.transpose(values, (*summed_axes, *batch_axes, *free_axes, values.ndim - 1))
+        sides.append(values.reshape(-1, *values.shape[len(summed_axes) :]))  # (summed, batch…, free…, E)
+        free.append(len(free_axes))
     left, right = sides
-    both = len(together[0])
-    left = jnp.expand_dims(left, tuple(range(1 + both + free[0], 1 + both + sum(free))))
-    right = jnp.expand_dims(right, tuple(range(1 + both, 1 + both + free[0])))
-    return _added(a * b for a, b in zip(left, right, strict=True))
+    before = 1 + len(batch[0])
+    left = jnp.expand_dims(left, tuple(range(before + free[0], before + sum(free))))
+    right = jnp.expand_dims(right, tuple(range(before, before + free[0])))
+    return _sum_terms(a * b for a, b in zip(left, right, strict=True))
 
 
 @_rule("gather")
-def _gather(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    rows, where = given
-    if isinstance(where, PerRobot):
-        return _by_vmap(eqn, given)[0].values
-    known = reordered(eqn, where)
-    if known is not None:
-        axis, ranges = known
-        parts = [lax.slice_in_dim(rows.values, *one, axis=axis) for one in ranges]
+def _gather(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    rows, indices = operands
+    if isinstance(indices, Batched):
+        return _by_vmap(eqn, operands)[0].values
+    found = gathered_ranges(eqn, indices)
+    if found is not None:
+        axis, ranges = found
+        parts = [lax.slice_in_dim(rows.values, first, end, axis=axis) for first, end in ranges]
         return jnp.concatenate(parts, axis).reshape(*_shape(eqn.outvars[0]), count)
     numbers = eqn.params["dimension_numbers"]
     names = ("indices_are_sorted", "unique_indices", "mode", "fill_value")
     return lax.gather(
         rows.values,
-        where,
+        indices,
         numbers._replace(offset_dims=(*numbers.offset_dims, len(_shape(eqn.outvars[0])))),
         (*eqn.params["slice_sizes"], count),
         **{name: eqn.params[name] for name in names},
@@ -240,32 +257,33 @@ def _gather(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
 
 
 @_rule("scatter", "scatter-add")
-def _scatter(eqn: JaxprEqn, given: Sequence[Value], count: int) -> jax.Array:
-    into, where, rows = given
-    if isinstance(where, PerRobot):
-        return _by_vmap(eqn, given)[0].values
-    numbers, new = eqn.params["dimension_numbers"], _of_each(rows, count)
+def _scatter(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> jax.Array:
+    target, indices, updates = operands
+    if isinstance(indices, Batched):
+        return _by_vmap(eqn, operands)[0].values
+    numbers, rows = eqn.params["dimension_numbers"], _expand(updates, count)
     names = ("indices_are_sorted", "unique_indices", "mode")
-    put = lax.scatter_add if eqn.primitive.name == "scatter-add" else lax.scatter
-    return put(
-        _of_each(into, count),
-        where,
-        new,
-        numbers._replace(update_window_dims=(*numbers.update_window_dims, new.ndim - 1)),
+    scatter = lax.scatter_add if eqn.primitive.name == "scatter-add" else lax.scatter
+    return scatter(
+        _expand(target, count),
+        indices,
+        rows,
+        numbers._replace(update_window_dims=(*numbers.update_window_dims, rows.ndim - 1)),
         **{name: eqn.params[name] for name in names},
     )
 
 
-def _shape(name: Any) -> tuple[int, ...]:
+def _shape(variable: Any) -> tuple[int, ...]:
     """The shape (…) of one robot's array in a trace."""
-    return name.aval.shape
+    return variable.aval.shape
 
 
-def _dtype(name: Any) -> np.dtype:
-    return name.aval.dtype
+def _dtype(variable: Any) -> np.dtype:
+    """The number type of one robot's array in a trace."""
+    return variable.aval.dtype
 
 
-def _added(terms: Any) -> jax.Array:
-    """Their sum, one after the other."""
+def _sum_terms(terms: Iterable[jax.Array]) -> jax.Array:
+    """The sum of some arrays, added one after the other."""
     *_, total = accumulate(terms)
     return total

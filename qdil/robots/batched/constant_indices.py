@@ -1,8 +1,10 @@
-"""Which rows an operation of a trace takes, where that is known while a function is traced.
+"""Turning gathers whose indices are constants into slices, for ``batch_last``.
 
-A simulator sorts its links by kind of joint, works on each kind, and sorts them back. The numbers of those rows are
-constants, but counted from the end in places, and brought into range by a few operations of the trace; NumPy does
-these. Rows whose numbers are known are slices; others are looked up as a program runs.
+A simulator sorts its links by kind of joint, works on each kind, and restores the order. In the trace each sorting is a
+gather: a lookup of rows by index. The indices are constants, but some count from the end, and a few integer operations
+of the trace correct that. ``NUMPY_RULES`` carries out those operations while tracing, so that the indices stay known.
+``gathered_ranges`` then says which slices replace the gather. Slices are faster: XLA fuses a gather into its consumers
+and recomputes its source for each number that it reads.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,8 +14,8 @@ import numpy as np
 from jax.extend.core import JaxprEqn
 
 
-def is_known(value: Any) -> bool:
-    """Whether these are whole numbers, or truths, that NumPy has."""
+def is_constant(value: Any) -> bool:
+    """Whether these are integers or booleans whose values are known while tracing (NumPy's, not JAX's)."""
     return isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biu"
 
 
@@ -22,7 +24,8 @@ def _broadcast(eqn: JaxprEqn, value: np.ndarray) -> np.ndarray:
     return np.broadcast_to(np.expand_dims(value, [axis for axis in range(len(shape)) if axis not in axes]), shape)
 
 
-BY_NUMPY: dict[str, Callable[..., Any]] = {
+# The operations that correct indices, by the name of their primitive: (operation, its constant operands) -> constant.
+NUMPY_RULES: dict[str, Callable[..., Any]] = {
     "add": lambda eqn, a, b: a + b,
     "and": lambda eqn, a, b: a & b,
     "broadcast_in_dim": _broadcast,
@@ -36,26 +39,28 @@ BY_NUMPY: dict[str, Callable[..., Any]] = {
 }
 
 
-def reordered(eqn: Any, where: Any) -> tuple[int, list[tuple[int, int]]] | None:
-    """The axis along which a gather takes whole rows, none of them twice, and which, if they are known.
+def gathered_ranges(eqn: Any, indices: Any) -> tuple[int, list[tuple[int, int]]] | None:
+    """The axis along which a gather takes whole rows, and which rows, as ranges (first, one past the last).
 
-    As ranges (first, one past last) of rows that follow each other. Rows taken twice are many short ranges: looking
-    them up is no slower.
+    Rows that follow each other share a range. None if the indices are not constants, if the gather takes anything but
+    whole rows along one axis, or if it takes a row twice (there would be many short slices, no faster than a gather).
     """
     numbers = eqn.params["dimension_numbers"]
-    if not is_known(where) or len(numbers.start_index_map) != 1 or where.size == 0:
+    if not is_constant(indices) or len(numbers.start_index_map) != 1 or indices.size == 0:
         return None
-    shape, out, (axis,) = eqn.invars[0].aval.shape, eqn.outvars[0].aval.ndim, numbers.start_index_map
-    whole = tuple(1 if i == axis else size for i, size in enumerate(shape))
-    in_place = (*range(axis), *range(axis + where.ndim - 1, out))
-    if (numbers.collapsed_slice_dims, numbers.offset_dims, eqn.params["slice_sizes"]) != ((axis,), in_place, whole):
+    shape, ndim, (axis,) = eqn.invars[0].aval.shape, eqn.outvars[0].aval.ndim, numbers.start_index_map
+    whole_row = tuple(1 if i == axis else size for i, size in enumerate(shape))
+    kept_axes = (*range(axis), *range(axis + indices.ndim - 1, ndim))
+    takes = (numbers.collapsed_slice_dims, numbers.offset_dims, eqn.params["slice_sizes"])
+    if takes != ((axis,), kept_axes, whole_row):
         return None
-    at = where.ravel().tolist()
-    if min(at) < 0 or max(at) >= shape[axis] or len(set(at)) < len(at):
+    rows = indices.ravel().tolist()
+    if min(rows) < 0 or max(rows) >= shape[axis] or len(set(rows)) < len(rows):
         return None
-    return axis, _ranges(at)
+    return axis, _ranges(rows)
 
 
-def _ranges(at: Sequence[int]) -> list[tuple[int, int]]:
-    breaks = [i for i in range(1, len(at)) if at[i] != at[i - 1] + 1]
-    return [(at[a], at[b - 1] + 1) for a, b in zip([0, *breaks], [*breaks, len(at)], strict=True)]
+def _ranges(rows: Sequence[int]) -> list[tuple[int, int]]:
+    """``rows`` in their order as ranges (first, one past the last) of consecutive numbers."""
+    breaks = [i for i in range(1, len(rows)) if rows[i] != rows[i - 1] + 1]
+    return [(rows[a], rows[b - 1] + 1) for a, b in zip([0, *breaks], [*breaks, len(rows)], strict=True)]

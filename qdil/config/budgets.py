@@ -1,0 +1,126 @@
+"""The budgets ``smoke``, ``laptop`` and ``full``, what robots and methods change of them, and ``make_config``."""
+
+from typing import Any
+
+from qdil.config.checks import from_settings
+from qdil.config.settings import PPGA, PPO, Config, Simulation
+from qdil.errors import ConfigError
+from qdil.methods import parse_method
+from qdil.robots.register import backends_of, count_measures
+
+LAPTOP: dict[str, Any] = {
+    "iterations": 200,
+    "warmup_updates": 300,
+    "gradient_updates": 3,
+    "walk_updates": 3,
+    "candidates": 96,
+    "episodes": 2,
+    "cells": 20,
+    "sigma0": 2.0,
+    "archive_learning_rate": 1.0,
+    "sample_actions": False,
+    "eval_chunk_steps": 25,
+    "eval_chunks_per_sync": 4,
+    "eval_batch_size": 48,
+    "actor_hidden": (64, 64),
+    "critic_hidden": (64, 64),
+    "num_envs": 192,
+    "rollout_length": 64,
+    "episode_length": 300,
+    "gamma": 0.993,
+    "target_kl": 0.02,
+    "threshold_min": 0.0,
+    "reward_steps": 20,
+}
+
+SMOKE: dict[str, Any] = {
+    **LAPTOP,
+    "iterations": 2,
+    "warmup_updates": 2,
+    "gradient_updates": 1,
+    "walk_updates": 1,
+    "candidates": 8,
+    "episodes": 2,
+    "cells": 5,
+    "actor_hidden": (16, 16),
+    "critic_hidden": (16, 16),
+    "num_envs": 24,
+    "rollout_length": 16,
+    "episode_length": 50,
+    "gamma": 0.99,
+    "minibatches": 2,
+    "epochs": 2,
+    "demo_episodes": 1,
+    "reward_steps": 4,
+    "giril_steps": 200,
+}
+
+# What each budget changes of the defaults.
+BUDGETS: dict[str, dict[str, Any]] = {"smoke": SMOKE, "laptop": LAPTOP, "full": {}}
+
+# What differs between robots, by budget.
+PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
+    # A step of the cheetah is 0.05 s (walker2d: 0.008 s): it needs fewer steps and a nearer horizon. It cannot fall.
+    ("laptop", "halfcheetah"): {
+        "gamma": 0.99,
+        "episode_length": 200,
+        "eval_chunk_steps": 200,
+        "num_envs": 96,
+        "iterations": 160,
+        "warmup_updates": 100,
+        "threshold_min": -100.0,
+    },  # fmt: skip
+    ("full", "humanoid"): {"sigma0": 0.5, "archive_learning_rate": 0.1, "learning_rate": 3e-4},
+}
+
+# What the authors' released program does where the paper says otherwise (p and q: its shipped runners).
+RELEASED: dict[str, Any] = {
+    "selection": "true",
+    "walk_weights": "fitness",
+    "bonus_scope": "rollout",
+    "bonus_p": 0.0,
+    "bonus_q": 2.0,
+    "expert_alignment": "shifted",
+    "expert_obs": "raw",
+    "penalty_mixing": "element",
+    "vail_beta": "fixed",
+    "pwil_coupling": "step",
+}
+
+# An empty cell's threshold, return per step, where a reward may be negative: low enough that any first elite counts.
+SIGNED_THRESHOLD = -10.0
+
+
+def make_config(env: str, method: str, budget: str, seed: int = 1, **changes: Any) -> Config:
+    """The checked configuration of one run: a budget, adapted to the robot, with ``changes`` by flat name on top.
+
+    ``env`` names a robot (``qdil.robots.register``), ``method`` a method (``qdil.methods``), ``budget`` one of
+    ``BUDGETS``. Raises ConfigError, in one sentence that names the setting, for anything that cannot run.
+    """
+    if budget not in BUDGETS:
+        raise ConfigError(f"unknown budget '{budget}'; choose one of {', '.join(BUDGETS)}.")
+    base = parse_method(method).base
+    chosen = BUDGETS[budget] | _for_measures(budget, count_measures(env)) | PER_ROBOT.get((budget, env), {})
+    chosen |= {"backend": backends_of(env)[0]}
+    if env == "halfcheetah" and base.imitates and budget == "full":
+        chosen |= {"threshold_min": -500.0}  # authors, with imitation rewards
+    if base.signed:
+        length = changes.get("episode_length", chosen.get("episode_length", Simulation.episode_length))
+        if isinstance(length, int):  # any other length is refused below
+            chosen |= {"threshold_min": SIGNED_THRESHOLD * length}
+    if changes.get("protocol") == "released":
+        chosen |= RELEASED
+    identity = {"env": env, "method": method, "budget": budget, "seed": seed}
+    return from_settings(identity | chosen | changes)
+
+
+def _for_measures(budget: str, k: int) -> dict[str, Any]:
+    """A budget's counts for a robot of ``k`` measures; unchanged for the paper's robots, which have two.
+
+    ``num_envs`` becomes a multiple of the 1 + k copies that VPPO trains and of four devices, the smallest that is not
+    below the budget's. ``cells`` per measure shrinks where k > 2, so that the grid's cells^k stays near the budget's.
+    """
+    chosen = BUDGETS[budget]
+    envs, cells = chosen.get("num_envs", PPO.num_envs), chosen.get("cells", PPGA.cells)
+    per_copy = 4 * -(-envs // (4 * (1 + k)))
+    return {"num_envs": per_copy * (1 + k), "cells": max(2, round(cells ** (2 / k))) if k > 2 else cells}
