@@ -10,16 +10,20 @@ import pandas as pd
 import pytest
 
 from qdil import ppga
-from qdil.runs.train import FIRST_COLUMNS, train
-from qdil.runs.folder import read_archive
 from qdil.cli import main
-from qdil.config import Config, ConfigError, from_json, make_config
+from qdil.config import Evaluation, from_json, make_config
+from qdil.errors import ConfigError
 from qdil.files import sha256, write_json
 from qdil.imitation import demos as demonstrations
 from qdil.plotting import LiveArchive
-from qdil.runs.progress import Progress
 from qdil.qd import history
+from qdil.runs.folder import read_archive
+from qdil.runs.progress import Progress
+from qdil.runs.report import AfterIteration
+from qdil.runs.train import FIRST_COLUMNS, train
 from qdil.tools import plan, verify
+
+pytestmark = pytest.mark.physics
 
 FILES = {"config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz", "manifest.json"}
 
@@ -75,10 +79,10 @@ def test_the_expert_is_filled_by_true_returns_and_imitators_by_learned_ones(made
 def test_the_history_of_a_run_ends_in_its_archive(made, method):
     elites = read_archive(made / method)
     with np.load(made / method / "history.npz", allow_pickle=False) as file:
-        told = dict(file)
+        arrays = dict(file)
     cells = int(np.prod(elites["cells"]))
-    past = history.History(told["iteration"], told["index"], told["true_return"], told["fitness"])
-    for name, grid in history.snapshot(past, int(told["iterations"]), cells).items():
+    past = history.History(*(arrays[name] for name in ("iteration", "index", "true_return", "fitness")))
+    for name, grid in history.snapshot(past, int(arrays["iterations"]), cells).items():
         np.testing.assert_array_equal(grid[elites["index"]], elites[name])
         assert np.isfinite(grid).sum() == len(elites["index"])
     rows = np.genfromtxt(made / method / "metrics.csv", delimiter=",", names=True)
@@ -94,18 +98,18 @@ def test_demonstrations_are_whole_episodes_of_the_chosen_elites(made):
     rows = demonstrations.select(elites["true_return"], elites["measures"], 25, 2)
     np.testing.assert_array_equal(demos["elite_index"], elites["index"][rows])
     for episode in range(2):
-        mine = demos["episode"] == episode
-        ended = demos["terminated"][mine] | demos["truncated"][mine]
+        steps = demos["episode"] == episode
+        ended = demos["terminated"][steps] | demos["truncated"][steps]
         assert ended[-1] and not ended[:-1].any()
         # Rows are aligned: the next state of a step is the state of the following one.
-        np.testing.assert_array_equal(demos["next_obs"][mine][:-1], demos["obs"][mine][1:])
-        np.testing.assert_allclose(demos["episode_return"][episode], demos["reward"][mine].sum(), rtol=1e-5)
-        np.testing.assert_allclose(demos["episode_measures"][episode], demos["proxy"][mine].mean(axis=0), rtol=1e-5)
+        np.testing.assert_array_equal(demos["next_obs"][steps][:-1], demos["obs"][steps][1:])
+        np.testing.assert_allclose(demos["episode_return"][episode], demos["reward"][steps].sum(), rtol=1e-5)
+        np.testing.assert_allclose(demos["episode_measures"][episode], demos["proxy"][steps].mean(axis=0), rtol=1e-5)
     assert np.abs(demos["action"]).max() <= 1.0
 
 
-@pytest.mark.parametrize("report", [Progress, LiveArchive, lambda config: lambda search, row: None])
-def test_whatever_watches_a_run_hears_of_it_in_the_way_it_can(report, tmp_path, capsys):
+@pytest.mark.parametrize("report", [Progress, LiveArchive, lambda config: AfterIteration(print)])
+def test_every_report_follows_a_run(report, tmp_path, capsys):
     config = make_config("walker2d", "true", "smoke")
     assert train(config, tmp_path, report=report(config))
     assert ("compiling, then 2 warm-up updates" in capsys.readouterr().out) == (report is Progress)
@@ -154,7 +158,7 @@ def test_settings_of_speed_alone_do_not_make_a_finished_run_another(made, tmp_pa
     arguments = ["--env", "walker2d", "--method", "true", "--budget", "smoke", "--out", copy]
     assert qdil("train", *arguments) == 0
     assert "already finished" in capsys.readouterr().out
-    assert from_json(config).eval_batch_size == Config.eval_batch_size
+    assert from_json(config).evaluation.eval_batch_size == Evaluation.eval_batch_size
     assert qdil("train", *arguments, "--set", "gamma=0.5") == 2
 
 
@@ -224,12 +228,15 @@ def test_the_steps_that_are_planned_are_those_that_a_run_makes(made, tmp_path, m
         evaluated.append(candidates.length.sum() * config.evaluation.episodes)
         return candidates
 
+    def append_seen(search, row):
+        seen.append(float(search.state.stats.seen))
+
     monkeypatch.setattr(ppga, "evaluate", counted)
-    train(config, tmp_path, made / "demos.npz", lambda search, row: seen.append(float(search.state.stats.seen)))
+    train(config, tmp_path, made / "demos.npz", AfterIteration(append_seen))
     steps = plan.count(config, learns=method != "true", k=2)
     assert steps.warm_up + steps.training == seen[-1]
-    told = pd.read_csv(tmp_path / "metrics.csv")["env_steps"].iloc[-1]
-    assert told == steps.warm_up + steps.training + sum(evaluated[:3])
+    recorded = pd.read_csv(tmp_path / "metrics.csv")["env_steps"].iloc[-1]
+    assert recorded == steps.warm_up + steps.training + sum(evaluated[:3])
     assert 0 < sum(evaluated[:3]) <= steps.evaluation == 3 * 8 * 2 * 50
     assert 0 < sum(evaluated[3:]) <= steps.rescoring and len(evaluated[3:]) <= 4  # 25 cells, 8 at a time
 
@@ -237,21 +244,17 @@ def test_the_steps_that_are_planned_are_those_that_a_run_makes(made, tmp_path, m
 def test_an_estimate_counts_what_a_reward_learns_before_the_run(monkeypatch):
     """GIRIL's training from demonstrations, no environment step of which is in ``metrics.csv``."""
     config = make_config("walker2d", "mconbo-gail", "smoke", demo_episodes=2)
-    shown, Engine = [], plan.Engine
+    given = []
 
-    def slow_to_begin(config):
-        compiled = Engine(config)
-
-        def init(key, demos):
-            shown.append(demos)
+    class SlowToBegin(plan.Engine):
+        def init(self, key, demos):
+            given.append(demos)
             time.sleep(3.0)
-            return compiled.init(key, demos)
+            return super().init(key, demos)
 
-        return compiled._replace(init=init)
-
-    monkeypatch.setattr(plan, "Engine", slow_to_begin)
+    monkeypatch.setattr(plan, "Engine", SlowToBegin)
     assert plan.plan(config).speed.start_seconds > 3.0
-    assert [len(demos.obs) for demos in shown] == [2 * 50]
+    assert [len(demos.obs) for demos in given] == [2 * 50]
 
 
 def changed(original: Path, copy: Path, **settings: object) -> Path:
