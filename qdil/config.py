@@ -432,10 +432,14 @@ def descriptions() -> dict[str, str]:
 
 
 def settings_help() -> str:
-    """The settings that ``--set`` takes, each with its ``full`` default and what it is."""
-    defaults = {name: field.default for name, field in _fields().items()}
-    lines = [f"  {name}={_text(defaults[name])}: {what}" for name, what in descriptions().items()]
-    return "settings (with the defaults of the full budget):\n" + "\n".join(lines)
+    """The settings that ``--set`` takes, group by group, each with its ``full`` default and what it is."""
+    defaults, whats = {name: field.default for name, field in _fields().items()}, descriptions()
+    lines = ["settings (with the defaults of the full budget):"]
+    for group in (None, *GROUPS):
+        lines += ["", "The run as a whole." if group is None else _GROUP_TYPES[group].__doc__ or group]
+        names = [name for name in whats if GROUP_OF[name] == group]
+        lines += [f"  {name}={_text(defaults[name])}: {whats[name]}" for name in names]
+    return "\n".join(lines)
 
 
 def _text(value: Any) -> str:
