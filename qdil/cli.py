@@ -169,8 +169,8 @@ def _claims(args: argparse.Namespace) -> int:
 
 def _add_verify(parser: Parser) -> None:
     parser.description = (
-        "Hash a run's files again and evaluate a sample of its elites on new episodes. Exit code 1 if a file is not "
-        "what the run's manifest says."
+        "Hash a run's files again and evaluate a sample of its elites on new episodes. Exit code 1 if a file does "
+        "not match the run's manifest."
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="the run's folder")
 

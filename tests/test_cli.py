@@ -89,5 +89,3 @@ def test_the_help_of_train_lists_every_setting_once_under_a_heading(capsys):
     assert sorted(names) == sorted(set(GROUP_OF) - set(IDENTITY))
     headings = [line for line in lines[1:] if line and not line.startswith(" ")]
     assert len(headings) == len(set(GROUP_OF.values()))
-    bonus = lines.index("The measure bonus (eq. 2).")
-    assert lines[bonus + 1].startswith("  bonus_scope=episode:")

@@ -1,6 +1,7 @@
 """One mesh over all devices (CPU cores or GPUs, of one host or several), and the two layouts that arrays have."""
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -82,6 +83,6 @@ def laid_out(tree: Any, sharding: NamedSharding) -> Any:
 
 
 @lru_cache(maxsize=16)
-def _copy(sharding: NamedSharding) -> Any:
+def _copy(sharding: NamedSharding) -> Callable[[Any], Any]:
     """A compiled identity function with this layout of its result; kept, so that it compiles once per shape."""
     return jax.jit(lambda tree: tree, out_shardings=sharding)

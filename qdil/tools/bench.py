@@ -49,12 +49,12 @@ def in_own_process(env: str, budget: str, rounds: int) -> dict[str, Row]:
 
 def run_speeds(env: str, budget: str, rounds: int) -> Row:
     """Speeds of one robot's runs. Takes minutes: every program is compiled for one device and for all of them."""
-    true = workloads.begun(env, "true", budget)
+    true = workloads.prepared(env, "true", budget)
     row = _expert(true, rounds)
     row["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # of one run, before the others
-    row |= _imitator(workloads.begun(env, "mconbo-gail", budget, like=true), rounds)
+    row |= _imitator(workloads.prepared(env, "mconbo-gail", budget, like=true), rounds)
     if jax.local_device_count() > 1:
-        row |= _devices(true, workloads.begun(env, "true", budget, like=true, devices=1), rounds)
+        row |= _devices(true, workloads.prepared(env, "true", budget, like=true, devices=1), rounds)
     return row
 
 

@@ -9,7 +9,6 @@ import statistics
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import jax
 
@@ -36,7 +35,7 @@ def speeds_and_ratios(turns: Turns, base: str) -> tuple[dict[str, float], dict[s
     return speeds, ratios
 
 
-def timed(function: Callable[[Any], Any], argument: Any, amount: float) -> tuple[float, float]:
+def timed(function: Callable[[jax.Array], jax.Array], argument: jax.Array, amount: float) -> tuple[float, float]:
     """One call as a turn that does ``amount`` of work."""
     start = time.monotonic()
     jax.block_until_ready(function(argument))

@@ -85,16 +85,16 @@ def _evaluate(
 
 def report(found: Verified) -> str:
     """The result in a few lines of text."""
-    lines = [f"{name}: not what the manifest says" for name in found.changed]
+    lines = [f"{name}: does not match the manifest" for name in found.changed]
     lines += [f"{name}: missing" for name in found.missing]
     if not lines:
-        lines.append("All files are as the manifest says.")
+        lines.append("All files match the manifest.")
     if found.sampled:
-        before, after = found.returns.T
-        change = np.median(np.abs(after - before))
+        archived, new = found.returns.T
+        change = np.median(np.abs(new - archived))
         lines += [
             f"{found.sampled} elites on new episodes:",
-            f"  average return {before.mean():.1f} as archived, {after.mean():.1f} now (median change {change:.1f});",
+            f"  average return {archived.mean():.1f} in the archive, {new.mean():.1f} now (median change {change:.1f});",
             f"  measures moved by {np.median(found.moved):.3f} (median), {found.moved.max():.3f} (largest).",
         ]
     elif found.missing and found.sound():

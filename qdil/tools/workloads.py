@@ -18,10 +18,10 @@ from qdil.rl.rollout import rollout, start
 from qdil.robots import brax_robots, register
 from qdil.tools.timing import Turn
 
-SHARED_STATE = ("train_state", "stats", "envs")  # what ``begun`` copies from another search
+SHARED_STATE = ("train_state", "stats", "envs")  # what ``prepared`` copies from another search
 
 
-def begun(robot: str, method: str, budget: str, like: ppga.Search | None = None, **changes: Any) -> ppga.Search:
+def prepared(robot: str, method: str, budget: str, like: ppga.Search | None = None, **changes: Any) -> ppga.Search:
     """A search after the budget's warm-up and one iteration, so that everything is compiled; on made-up demonstrations.
 
     Without the warm-up the robots would only fall, and say little about a run. ``like``: copy the robots, policy,

@@ -1,4 +1,4 @@
-"""Importing qdil changes nothing in a process; ``use_all_cores`` does what it promises and keeps the user's settings."""
+"""Importing qdil changes nothing in a process; ``use_all_cores`` keeps its promises and the settings of the user."""
 
 import json
 import os

@@ -262,7 +262,7 @@ def test_a_lock_that_was_removed_with_its_folder_locks_nothing(tmp_path, monkeyp
             pass
 
 
-def test_what_killed_processes_left_is_cleared(tmp_path, uninterrupted):
+def test_files_of_killed_processes_are_removed(tmp_path, uninterrupted):
     folder = tmp_path / "run"
     shutil.copytree(uninterrupted, folder)
     (folder / "checkpoint").mkdir()
@@ -288,7 +288,7 @@ def test_other_demonstrations_are_refused(tmp_path):
         checkpoint.load(tmp_path, search, "another")
 
 
-def test_what_is_loaded_is_what_was_saved(tmp_path):
+def test_load_restores_what_was_saved(tmp_path):
     """Every leaf, both grids with their thresholds, both generators."""
     config = make_config("walker2d", "true", "smoke", archive_learning_rate=0.3)
     search, _ = ppga.iteration(ppga.begin(config, None))
@@ -312,7 +312,7 @@ def test_what_is_loaded_is_what_was_saved(tmp_path):
             np.testing.assert_array_equal(one[name], other[name])
     np.testing.assert_array_equal(search.xnes.ask(), loaded.xnes.ask())
     assert search.rng.integers(1 << 60) == loaded.rng.integers(1 << 60)
-    # The search that was begun is a value: it is as it was.
+    # ``load`` leaves its argument unchanged.
     assert len(fresh.archives.result) == 0 and fresh.rng.bit_generator.state != loaded.rng.bit_generator.state
 
 

@@ -179,8 +179,8 @@ def test_more_demonstrations_than_elites_are_refused(made, tmp_path, capsys):
 
 def test_verify_finds_a_run_as_it_was(made, capsys):
     assert qdil("verify", made / "gail") == 0
-    said = capsys.readouterr().out
-    assert "as the manifest says" in said and "elites on new episodes" in said
+    output = capsys.readouterr().out
+    assert "All files match the manifest" in output and "elites on new episodes" in output
     found = verify.verify(made / "true")
     elites = read_archive(made / "true")
     assert found.sampled == min(8, len(elites["index"])) and set(found.returns[:, 0]) <= set(elites["true_return"])
@@ -194,12 +194,12 @@ def test_verify_notices_what_was_changed_or_lost(made, tmp_path, capsys):
     with open(copy / "metrics.csv", "a") as file:
         file.write("\n")
     assert qdil("verify", copy) == 1
-    assert "metrics.csv: not what the manifest says" in capsys.readouterr().out
+    assert "metrics.csv: does not match the manifest" in capsys.readouterr().out
     shutil.copy(made / "true" / "metrics.csv", copy)
     (copy / "policies.npz").unlink()
     assert qdil("verify", copy) == 0
-    said = capsys.readouterr().out
-    assert "policies.npz: missing" in said and "No policies here" in said
+    output = capsys.readouterr().out
+    assert "policies.npz: missing" in output and "No policies here" in output
     (copy / "metrics.csv").unlink()
     assert qdil("verify", copy) == 1
     assert qdil("verify", tmp_path / "nowhere") == 2
@@ -208,8 +208,8 @@ def test_verify_notices_what_was_changed_or_lost(made, tmp_path, capsys):
 def test_a_dry_run_plans_and_trains_nothing(tmp_path, capsys):
     arguments = ["--env", "walker2d", "--method", "mconbo-gail", "--budget", "smoke", "--set", "iterations=7"]
     assert qdil("train", *arguments, "--dry-run", "--out", tmp_path / "run") == 0
-    said = capsys.readouterr().out
-    assert '"iterations": 7' in said and "estimate:" in said
+    output = capsys.readouterr().out
+    assert '"iterations": 7' in output and "estimate:" in output
     config = make_config("walker2d", "mconbo-gail", "smoke", iterations=7)
     planned = plan.plan(config)
     assert planned.reward_rounds == 7 + 2 and planned.speed.reward_seconds > 0
@@ -274,16 +274,18 @@ def test_what_more_devices_made_is_verified_on_those_that_are_here(made, tmp_pat
 
 def test_a_run_of_another_version_is_hashed_and_no_more(made, tmp_path, capsys):
     assert qdil("verify", changed(made / "true", tmp_path / "run", wings=2)) == 0
-    said = capsys.readouterr().out
-    assert "All files are as the manifest says" in said and "settings are of another version: wings" in said
+    output = capsys.readouterr().out
+    assert "All files match the manifest" in output and "settings are of another version: wings" in output
 
 
 def test_devices_that_are_not_there_are_refused_before_a_dry_run(capsys, tmp_path):
     arguments = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", "--devices", 64]
     for more in (["--dry-run"], ["--out", tmp_path / "run"]):
         assert qdil(*arguments, *more) == 2
-        said = capsys.readouterr()
-        assert said.out == "" and said.err.startswith("qdil: devices=64 was asked for") and said.err.count("\n") == 1
+        output = capsys.readouterr()
+        assert (
+            output.out == "" and output.err.startswith("qdil: devices=64 was asked for") and output.err.count("\n") == 1
+        )
     assert not (tmp_path / "run").exists()
 
 
@@ -294,13 +296,13 @@ def test_a_damaged_file_of_a_run_is_named(made, tmp_path, capsys):
     arguments += ["--demos", made / "demos.npz", "--set", "demo_episodes=2"]
     (copy / "manifest.json").write_text('{"commit": "a')
     assert (qdil(*arguments), qdil("verify", copy)) == (2, 2)
-    said = capsys.readouterr().err
-    assert said.count("manifest.json is damaged") == said.count("\n") == 2
+    output = capsys.readouterr().err
+    assert output.count("manifest.json is damaged") == output.count("\n") == 2
     shutil.copy(made / "gail" / "manifest.json", copy)
     (copy / "config.json").write_bytes(b"\xff{")
     assert (qdil(*arguments), qdil("verify", copy)) == (2, 1)
-    said = capsys.readouterr()
-    assert "config.json is damaged" in said.err and "config.json: not what the manifest says" in said.out
+    output = capsys.readouterr()
+    assert "config.json is damaged" in output.err and "config.json: does not match the manifest" in output.out
     shutil.copy(made / "gail" / "config.json", copy)
     (copy / "archive.npz").write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(ConfigError, match="archive.npz is damaged"):
