@@ -90,11 +90,11 @@ def report(found: Verified) -> str:
     if not lines:
         lines.append("All files match the manifest.")
     if found.sampled:
-        archived, new = found.returns.T
-        change = np.median(np.abs(new - archived))
+        old, new = found.returns.T
+        change = np.median(np.abs(new - old))
         lines += [
             f"{found.sampled} elites on new episodes:",
-            f"  average return {archived.mean():.1f} in the archive, {new.mean():.1f} now (median change {change:.1f});",
+            f"  average return {old.mean():.1f} in the archive, {new.mean():.1f} now (median change {change:.1f}),",
             f"  measures moved by {np.median(found.moved):.3f} (median), {found.moved.max():.3f} (largest).",
         ]
     elif found.missing and found.sound():
