@@ -4,13 +4,13 @@ A checkpoint is an ``.npz`` file whose name contains its SHA-256. A truncated or
 ``load`` then uses the one before it, so the two newest are kept. Nothing is pickled.
 """
 
-import copy
 import hashlib
 import io
 import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,7 +104,7 @@ def _restore(
     if values["demos_sha256"] != demos_sha256:
         raise ConfigError(f"{path.parent.parent} was begun with other demonstrations; choose another --out.")
     state = jax.tree.unflatten(tree, [_like(old, new) for old, new in zip(template, leaves, strict=True)])
-    archives, xnes, rng = copy.deepcopy((search.archives, search.xnes, search.rng))
+    archives, xnes, rng = deepcopy((search.archives, search.xnes, search.rng))
     for name, grid in archives._asdict().items():
         archive.refill(grid, _in_group(arrays, name))
     xnes.mean, xnes.shape, xnes.sigma = arrays["xnes/mean"], arrays["xnes/shape"], float(arrays["xnes/sigma"])
