@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import jax
@@ -98,15 +99,16 @@ def test_an_imitator_resumes_as_if_nothing_had_happened(method, demos, tmp_path)
     assert same_run(tmp_path / "resumed", tmp_path / "whole")
 
 
-def test_the_manifest_of_a_resumed_run_lists_all_processes(interrupted, uninterrupted, monkeypatch):
-    manifests = [json.loads((uninterrupted / "manifest.json").read_text())]
-    monkeypatch.setattr(manifest, "this_process", lambda: {"commit": "another", "start": "2100-01-01T00:00:00+00:00"})
-    train(CONFIG, interrupted)
-    manifests.append(json.loads((interrupted / "manifest.json").read_text()))
-    assert manifests[0]["resumed"] == [] and "commits" not in manifests[0]
-    assert manifests[0]["start"] <= manifests[1]["start"] < "2100"
-    assert manifests[1]["resumed"] == ["2100-01-01T00:00:00+00:00"]
-    assert manifests[1]["commits"] == [manifests[0]["commit"], "another"] and manifests[1]["commit"] == "another"
+def test_the_manifest_of_a_resumed_run_lists_all_processes(tmp_path, uninterrupted, monkeypatch):
+    alone = json.loads((uninterrupted / "manifest.json").read_text())
+    assert alone["resumed"] == [] and "commits" not in alone and alone["start"] <= alone["end"]
+    for commit, start, report in (("one", "2100-01-01", stop_after(3)), ("two", "2100-01-02", None)):
+        monkeypatch.setattr(manifest, "this_process", lambda c=commit, s=start: {"commit": c, "start": s})
+        with pytest.raises(Stopped) if report else nullcontext():
+            train(CONFIG, tmp_path, report=report)
+    both = json.loads((tmp_path / "manifest.json").read_text())
+    assert (both["start"], both["resumed"]) == ("2100-01-01", ["2100-01-02"])
+    assert (both["commit"], both["commits"]) == ("two", ["one", "two"])
 
 
 def test_an_interrupted_warm_up_goes_on_too(tmp_path, uninterrupted, monkeypatch):
