@@ -1,4 +1,4 @@
-"""A smoke run as a process of its own that says what it is about to do, and waits a moment before it does it.
+"""A smoke run in a process of its own that prints the name of each step and waits a moment before taking it.
 
 ``python announcing.py FOLDER ITERATIONS``; a test reads the lines and kills the process at one of them.
 """
@@ -8,16 +8,16 @@ import sys
 import time
 from pathlib import Path
 
+import qdil
 from qdil import ppga
 from qdil.config import make_config
-from qdil.runs import checkpoint, manifest
-from qdil.runs.train import train
+from qdil.runs import checkpoint, manifest, train
 
-WAIT = 0.15  # seconds: the test reads a line in much less, so that what it announces has not happened yet
+WAIT = 0.15  # seconds: the test reads a line in much less, so the step has not happened yet
 
 
 def announced(module: object, name: str) -> None:
-    """Let the function ``name`` of ``module`` say its name first."""
+    """Let the function ``name`` of ``module`` print its name first."""
     function = getattr(module, name)
 
     def announcing(*args: object, **more: object) -> object:
@@ -30,13 +30,14 @@ def announced(module: object, name: str) -> None:
 
 def main() -> None:
     folder, iterations = sys.argv[1:]
-    # "replace" is where a file is written, under its temporary name, and about to get its own.
+    qdil.use_all_cores()
+    # At "replace" a file has been written under its temporary name and is about to be renamed.
     for module, name in ((ppga, "begin"), (ppga, "warm_up"), (ppga, "iteration"), (os, "replace")):
         announced(module, name)
     for module, name in ((ppga, "reevaluate"), (manifest, "write"), (checkpoint, "remove")):
         announced(module, name)
-    SAVE_EVERY, SAVE_SHARE = 0.0, 1e9
-    train(make_config("walker2d", "true", "smoke", iterations=int(iterations)), Path(folder))
+    train.SAVE_SHARE = 1e9
+    train.train(make_config("walker2d", "true", "smoke", iterations=int(iterations)), Path(folder), save_seconds=0.0)
 
 
 if __name__ == "__main__":

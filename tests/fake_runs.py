@@ -1,20 +1,20 @@
-"""Run folders with known numbers, for tests of everything that reads finished runs."""
+"""Run folders with known numbers, for tests of code that reads finished runs."""
 
 from pathlib import Path
 
 import numpy as np
 
-from qdil.files import write_csv, write_npz
-from qdil.runs.experiments import folder_of
+from qdil.files import sha256, write_csv, write_npz
+from qdil.runs.folder import folder_of
 from qdil.runs.train import FIRST_COLUMNS
 
 COLUMNS = [*FIRST_COLUMNS, "c0"]
 
 
 def write_run(root: Path, env: str, experiment: str, seed: int, budget: str = "laptop", **final: float) -> Path:
-    """A finished run of three iterations that ends with the metrics ``final``; what is not given is 1.
+    """A finished run of three iterations that ends with the metrics ``final``; metrics that are not given are 1.
 
-    Its archive has two filled cells of 2 × 2, side by side, with returns 10 and 30; scored again each loses 1.
+    Two adjacent cells of its 2 × 2 archive are filled, with returns 10 and 30; scored again, each is 1 lower.
     """
     folder = folder_of(experiment, env, budget, seed, root)
     last = {"qd_score": 1.0, "coverage": 1.0, "best": 1.0, "average": 1.0, "learned_qd_score": 1.0} | final
@@ -38,7 +38,16 @@ def write_archive(folder: Path, index: list[int], returns: list[float]) -> None:
 
 
 def write_arms(root: Path, env: str, metric: str, arms: dict[str, list[float]], budget: str = "laptop") -> None:
-    """Runs with one metric given, by experiment: a seed per value, from 1."""
+    """Runs with given values of one metric, by experiment: one seed per value, from 1."""
     for experiment, values in arms.items():
         for seed, value in enumerate(values, start=1):
             write_run(root, env, experiment, seed, budget, **{metric: value})
+
+
+def same_run(one: Path, other: Path) -> bool:
+    """The same archive and its history, byte for byte, and the same metrics but for the clock."""
+    rows = [np.genfromtxt(f / "metrics.csv", delimiter=",", names=True) for f in (one, other)]
+    columns = [name for name in rows[0].dtype.names if name != "wall_seconds"]
+    for name in columns:
+        np.testing.assert_array_equal(rows[0][name], rows[1][name])
+    return all(sha256(one / name) == sha256(other / name) for name in ("archive.npz", "history.npz"))

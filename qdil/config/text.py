@@ -8,6 +8,7 @@ from qdil.config.checks import OLD_NAMES, from_settings, refusal, unknown
 from qdil.config.settings import (
     GROUP_OF,
     GROUP_TYPES,
+    GROUPS,
     IDENTITY,
     SPEED_ONLY,
     Config,
@@ -62,10 +63,13 @@ def _checked(name: str, value: Any, pair: str) -> Any:
 
 
 def settings_help() -> str:
-    """The settings that ``--set`` takes, each with its ``full`` default and what it is."""
+    """The settings that ``--set`` takes, by group, each with its ``full`` default and what it is."""
     what = descriptions()
-    lines = [f"  {name}={_text(field.default)}: {what[name]}" for name, field in changeable().items()]
-    return "settings (with the defaults of the full budget):\n" + "\n".join(lines)
+    lines = ["settings (with the defaults of the full budget):"]
+    for group in (None, *GROUPS):
+        lines += ["", "The run as a whole." if group is None else GROUP_TYPES[group].__doc__ or group]
+        lines += [f"  {n}={_text(f.default)}: {what[n]}" for n, f in changeable().items() if GROUP_OF[n] == group]
+    return "\n".join(lines)
 
 
 def _text(value: Any) -> str:

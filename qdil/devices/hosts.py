@@ -1,7 +1,7 @@
-"""Several hosts as one machine: each runs the same program on its own devices, the first one writes the files.
+"""Several hosts as one machine: each runs the same program on its own devices, and host 0 writes the files.
 
-Hosts find each other through ``jax.distributed`` where its variables are set: ``JAX_COORDINATOR_ADDRESS`` (host:port of
-the first), ``JAX_NUM_PROCESSES`` and ``JAX_PROCESS_ID``. The run folder must be one that all of them see.
+Hosts connect through ``jax.distributed`` if three environment variables are set: ``JAX_COORDINATOR_ADDRESS`` (host:port
+of host 0), ``JAX_NUM_PROCESSES`` and ``JAX_PROCESS_ID``. The run folder must be on a disk that all hosts share.
 """
 
 import os
@@ -14,13 +14,15 @@ from jax.experimental import multihost_utils
 
 from qdil.errors import ConfigError
 
+REFUSED = 2  # besides 0 and 1 for False and True
+
 VARIABLES = ("JAX_COORDINATOR_ADDRESS", "JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
 
 
 def join() -> None:
-    """Connect to the other hosts, if the variables say that there are any; before JAX is used for anything else.
+    """Connect to the other hosts if the variables are set. Call it before JAX is used for anything else.
 
-    Raises ConfigError where only some of the variables are set, or one is not a number.
+    Raises ConfigError if only some of the variables are set, or if one is not a number.
     """
     given = [name for name in VARIABLES if os.environ.get(name)]
     if not given:
@@ -32,51 +34,51 @@ def join() -> None:
         raise ConfigError(f"{VARIABLES[1]} and {VARIABLES[2]} must be numbers, not {' and '.join(numbers)}.")
     if not jax.distributed.is_initialized():
         jax.distributed.initialize(address, num_processes=int(numbers[0]), process_id=int(numbers[1]))
-        wait_for_all("joined")  # to connect while all have just started; compilation later sets them minutes apart
+        wait_for_all("joined")  # connect now: compilation may separate the hosts by minutes, and connecting times out
 
 
 def is_first() -> bool:
-    """Whether this process writes the files and speaks to the user."""
+    """Whether this process is host 0, which writes the files and prints."""
     return jax.process_index() == 0
 
 
-def broadcast_from_host0(first_says: bool) -> bool:
-    """What the first host says, on every host: decisions by the clock must not differ."""
+def broadcast_from_host0(value: bool) -> bool:
+    """Host 0's ``value``, on every host. Clocks differ, so decisions by the clock are host 0's."""
     if jax.process_count() == 1:
-        return first_says
-    return bool(multihost_utils.broadcast_one_to_all(np.array(first_says)))
+        return value
+    return bool(multihost_utils.broadcast_one_to_all(np.array(value)))
 
 
 def run_on_host0(decide: Callable[[], bool]) -> bool:
-    """What ``decide`` says on the first host, on every host; a ConfigError there is raised on all of them.
+    """Call ``decide`` on host 0 alone and return its result on every host. Its ConfigError is raised on all of them.
 
-    What lies in a folder that all hosts see may change while they look: one must look for all.
+    A shared folder may change while hosts look at it one after the other, so host 0 decides for all.
     """
     if jax.process_count() == 1:
         return decide()
-    answer, refusal = 2, ConfigError("the first host cannot go on and says why.")
+    result, refusal = REFUSED, ConfigError("host 0 refused; its own message gives the reason.")
     if is_first():
         try:
-            answer = int(decide())
+            result = int(decide())
         except ConfigError as error:
             refusal = error
-    answer = int(multihost_utils.broadcast_one_to_all(np.array(answer)))
-    if answer == 2:
+    result = int(multihost_utils.broadcast_one_to_all(np.array(result)))
+    if result == REFUSED:
         raise refusal
-    return bool(answer)
+    return bool(result)
 
 
 def wait_for_all(what: str) -> None:
-    """Go on once every host is here."""
+    """Return once every host has called this with the same ``what``."""
     if jax.process_count() > 1:
         multihost_utils.sync_global_devices(what)
 
 
 def to_host(tree: Any) -> Any:
-    """A tree's arrays as NumPy's, those that are spread over several hosts gathered on each of them."""
+    """The tree's arrays as NumPy arrays; arrays sharded over several hosts are gathered on each of them."""
     return jax.tree.map(_to_host, tree)
 
 
 def _to_host(leaf: Any) -> np.ndarray:
-    whole = not isinstance(leaf, jax.Array) or leaf.is_fully_addressable or leaf.is_fully_replicated
-    return np.asarray(leaf if whole else multihost_utils.process_allgather(leaf, tiled=True))
+    is_local = not isinstance(leaf, jax.Array) or leaf.is_fully_addressable or leaf.is_fully_replicated
+    return np.asarray(leaf if is_local else multihost_utils.process_allgather(leaf, tiled=True))

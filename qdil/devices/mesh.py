@@ -1,5 +1,7 @@
-"""One mesh over all devices (CPU cores or GPUs, of one host or several) and the two layouts that arrays here have."""
+"""One mesh over all devices (CPU cores or GPUs, of one host or several), and the two layouts that arrays have."""
 
+import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -20,13 +22,13 @@ def make_mesh(num_devices: int) -> Mesh:
 
 
 def choose_num_devices(requested: int, *counts: int) -> int:
-    """Devices to use: ``requested``, or if 0 the most devices that divide every count; all, where hosts are several.
+    """The number of devices to use: ``requested``, or if 0 the largest number that divides every count.
 
-    Raises ConfigError when that cannot be met.
+    With several hosts all devices are used. Raises ConfigError if ``requested`` cannot be used.
     """
     available = jax.device_count()
     if jax.process_count() > 1 and requested in (0, available):
-        requested = available  # a host without a share would wait for ever
+        requested = available  # a host without work would wait for ever
     elif jax.process_count() > 1:
         raise ConfigError(f"devices={requested} leaves some of the {available} devices of several hosts without work.")
     if requested == 0:
@@ -43,9 +45,10 @@ def choose_num_devices(requested: int, *counts: int) -> int:
 
 
 def idle_devices(requested: int, per_copy: int, candidates: int) -> str | None:
-    """A sentence on local devices left without work although nobody asked for that, and on what would divide.
+    """A sentence that names idle local devices and the counts that would use all; None if none is idle.
 
-    Arguments as of ``choose_num_devices``: the robots of each VPPO copy, and the candidates.
+    None, too, if the user ``requested`` a number. Arguments: as for ``choose_num_devices``, with the robots of each
+    VPPO copy and the candidates as counts.
     """
     available, used = jax.device_count(), choose_num_devices(requested, per_copy, candidates)
     if requested or used == available:
@@ -58,8 +61,8 @@ def idle_devices(requested: int, per_copy: int, candidates: int) -> str | None:
 
 
 def _multiple(count: int, of: int) -> int:
-    """The least multiple that is not below ``count``."""
-    return -(-count // of) * of
+    """The smallest multiple of ``of`` that is not below ``count``."""
+    return math.ceil(count / of) * of
 
 
 def replicated(mesh: Mesh) -> NamedSharding:
@@ -73,13 +76,13 @@ def by_environment(mesh: Mesh) -> NamedSharding:
 
 
 def laid_out(tree: Any, sharding: NamedSharding) -> Any:
-    """A tree of arrays that every host has whole, random keys among them, as arrays in the given layout."""
+    """A tree of arrays, equal on every host, in the given layout. The tree may contain random keys."""
     if sharding.is_fully_addressable:
         return jax.device_put(tree, sharding)
-    return _copy(sharding)(tree)  # random keys cannot be put where other hosts' devices are
+    return _copy(sharding)(tree)  # ``device_put`` does not move random keys to the devices of other hosts
 
 
 @lru_cache(maxsize=16)
-def _copy(sharding: NamedSharding) -> Any:
-    """A compiled function that does nothing but lay out; one per layout, so that it compiles once per shape."""
+def _copy(sharding: NamedSharding) -> Callable[[Any], Any]:
+    """A compiled identity function with this layout of its result; kept, so that it compiles once per shape."""
     return jax.jit(lambda tree: tree, out_shardings=sharding)

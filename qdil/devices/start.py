@@ -1,4 +1,4 @@
-"""Settings of the whole process that count before JAX's devices start: devices on the host, and the program cache."""
+"""Settings of the whole process: CPU cores as JAX devices, and the cache of compiled programs."""
 
 import os
 import platform
@@ -10,7 +10,7 @@ HOST_DEVICES_FLAG = "--xla_force_host_platform_device_count"
 
 
 def cores() -> int:
-    """CPU cores this process may run on."""
+    """The number of CPU cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -25,9 +25,9 @@ def use_all_cores() -> None:
     - ``XLA_FLAGS`` makes every CPU core a JAX device, so that robots are simulated on all of them: about twice as fast
       on two cores. It has no effect once JAX's devices have started, and none on GPUs.
     - JAX's compilation cache lives in ``~/.cache/qdil``, one folder per jaxlib version and kind of processor, and
-      takes every program.
+      keeps every program, however fast it compiles.
 
-    Processes that this one starts inherit both. What the user has set already stays as it is.
+    Processes that this one starts inherit both. Settings that the user has made already stay as they are.
     """
     _set_host_devices()
     _set_compilation_cache()
@@ -49,7 +49,7 @@ def _set_compilation_cache() -> None:
 
 
 def _set(variable: str, value: str | int) -> None:
-    """One of JAX's settings, unless the user has set it; also where JAX has read its variables already."""
+    """Set one of JAX's variables unless the user has set it; JAX may be imported, and have read them, already."""
     if variable not in os.environ:
         os.environ[variable] = str(value)
         if "jax" in sys.modules:

@@ -1,4 +1,4 @@
-"""Options for XLA by the kind of program. All of them are for CPUs; on other devices they are None."""
+"""XLA's compiler options by kind of program. They are for CPUs; on other devices they are None."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ Options = dict[str, Any] | None  # for ``jax.jit(…, compiler_options=…)``
 
 
 def ppo_options(num_devices: int) -> Options:
-    """For learning: if every core hosts a device, pin each device to its core.
+    """For PPO's learning: if every core hosts a device, pin each device to its core.
 
     Otherwise let XLA spread large matrix products over the idle cores.
     """
@@ -18,10 +18,10 @@ def ppo_options(num_devices: int) -> Options:
 
 
 def single_threaded(num_devices: int) -> Options:
-    """For physics: no operation is split over threads, and none runs beside another.
+    """For physics: no operation is split over threads, and operations run one after the other.
 
-    A step of physics is hundreds of short operations. Two cores for one device took longer over most of them: by a
-    tenth, and by a half on machines that are slow to wake threads.
+    A step of physics is hundreds of short operations, most of which take longer if two cores share them: a tenth
+    longer, and half as long again on machines that wake threads slowly.
     """
     return _on_cpu(
         {
@@ -32,7 +32,7 @@ def single_threaded(num_devices: int) -> Options:
 
 
 def unoptimised(num_devices: int) -> Options:
-    """For programs that begin episodes, once a run or an evaluation: their compilation costs more than their runs."""
+    """For programs that begin episodes: they run so rarely that compiling them takes longer than running them."""
     return _on_cpu({"xla_backend_optimization_level": 0})
 
 

@@ -47,6 +47,9 @@ class LiveArchive:
             self.handle.update(picture)
         self.drawn = time.monotonic()
 
+    def announce(self, folder: object, reached: tuple[int, int] | None) -> None:
+        """Nothing is drawn before the first iteration (``qdil.runs.report.Report``)."""
+
     def _progress(self, row: Mapping[str, float], last: bool) -> str:
         done, total, time_now = int(row["iteration"]), self.config.ppga.iterations, time.monotonic()
         first, since = self.first or (done, time_now)

@@ -1,7 +1,7 @@
-"""A run's whole state between two iterations, in one file that is either whole or ignored.
+"""Checkpoints: a run's whole state between two iterations, in one file.
 
-A checkpoint is an ``.npz`` whose name carries its own SHA-256, so that a truncated or altered one is noticed and the
-one before it, which is kept until two newer ones are there, is used instead. Nothing is pickled.
+A checkpoint is an ``.npz`` file whose name contains its SHA-256. A truncated or altered file does not match its name;
+``load`` then uses the one before it, so the two newest are kept. Nothing is pickled.
 """
 
 import hashlib
@@ -10,6 +10,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +31,7 @@ KEPT = 2
 
 
 class Position(NamedTuple):
-    """How far a run is, and what it has told so far."""
+    """How far a run is, and what it has recorded so far."""
 
     warmed: int = 0  # warm-up updates done
     iteration: int = 0  # QD iterations done
@@ -39,18 +40,17 @@ class Position(NamedTuple):
     seconds: float = 0.0  # wall time spent, interruptions not counted
     rows: tuple[dict[str, float], ...] = ()  # of metrics.csv
     history: History = empty()  # of history.npz
-    rolled_back: float = 0.0  # phases of the warm-up; the first row of metrics.csv tells them with its own
-    begun: tuple[dict[str, str], ...] = ()  # commit and start of every process whose work is in it
+    rolled_back: float = 0.0  # training phases discarded during warm-up; added to the first row of metrics.csv
+    processes: tuple[dict[str, str], ...] = ()  # ``manifest.this_process`` of each process that worked on the run
 
 
-def save(run_folder: Path, search: Search, progress: Position, demos_sha256: str | None) -> None:
-    """Write a checkpoint of ``search`` after ``progress``; older ones go once it is whole. All hosts must call it."""
+def save(run_folder: Path, search: Search, position: Position, demos_sha256: str | None) -> None:
+    """Write a checkpoint of ``search`` at ``position``, then remove older ones. All hosts must call it."""
     leaves = [_to_numpy(leaf) for leaf in jax.tree.leaves(search.state)]
     if not hosts.is_first():
         return
-    plain = {name: value for name, value in progress._asdict().items() if name != "history"}
-    told = {
-        "progress": plain,
+    values = {
+        "position": {name: value for name, value in position._asdict().items() if name != "history"},
         "demos_sha256": demos_sha256,
         "xnes": search.xnes.rng.bit_generator.state,
         "rng": search.rng.bit_generator.state,
@@ -58,34 +58,34 @@ def save(run_folder: Path, search: Search, progress: Position, demos_sha256: str
     arrays = {f"state/{i}": leaf for i, leaf in enumerate(leaves)}
     arrays |= {f"soft/{name}": values for name, values in archive.content(search.archives.soft).items()}
     arrays |= {f"result/{name}": values for name, values in archive.content(search.archives.result).items()}
-    arrays |= {f"history/{name}": values for name, values in progress.history._asdict().items()}
+    arrays |= {f"history/{name}": values for name, values in position.history._asdict().items()}
     arrays |= {
         "xnes/mean": search.xnes.mean,
         "xnes/shape": search.xnes.shape,
         "xnes/sigma": np.array(search.xnes.sigma),
     }
     buffer = io.BytesIO()
-    np.savez(buffer, told=np.array(json.dumps(told)), **arrays)  # type: ignore[arg-type]
+    np.savez(buffer, values=np.array(json.dumps(values)), **arrays)  # type: ignore[arg-type]
     content = buffer.getvalue()
-    name = f"{progress.warmed:06d}-{progress.iteration:06d}-{hashlib.sha256(content).hexdigest()}.npz"
+    name = f"{position.warmed:06d}-{position.iteration:06d}-{hashlib.sha256(content).hexdigest()}.npz"
     replace_file(run_folder / FOLDER / name, lambda file: file.write(content))
     for old in _newest_first(run_folder)[KEPT:]:
-        if old.name != name:  # newer names than this one are of checkpoints that could not be read
+        if old.name != name:  # a checkpoint that could not be read may have a later name than this one
             old.unlink()
 
 
 def load(run_folder: Path, search: Search, demos_sha256: str | None) -> tuple[Search, Position] | None:
-    """The newest whole checkpoint put into ``search`` (a run just begun); None if there is none.
+    """Restore the newest undamaged checkpoint into a copy of ``search``, a run just begun; None if there is none.
 
     Raises ConfigError if it was made with other demonstrations or by another version of this program.
     """
     for path in _newest_first(run_folder):
         try:
             content = path.read_bytes()
-        except OSError:  # a disk or a network that fails just here; it may be whole again another time
+        except OSError:  # the disk or the network failed: keep the file, which may be readable later
             continue
         if hashlib.sha256(content).hexdigest() != path.stem.rsplit("-", 1)[1]:
-            path.unlink(missing_ok=True)  # damaged: it must not pass for the newest again
+            path.unlink(missing_ok=True)  # damaged: it must not count as the newest again
             continue
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             return _restore(path, search, {name: file[name] for name in file.files}, demos_sha256)
@@ -95,27 +95,33 @@ def load(run_folder: Path, search: Search, demos_sha256: str | None) -> tuple[Se
 def _restore(
     path: Path, search: Search, arrays: dict[str, np.ndarray], demos_sha256: str | None
 ) -> tuple[Search, Position]:
-    told = json.loads(str(arrays["told"]))
-    if told["demos_sha256"] != demos_sha256:
-        raise ConfigError(f"{path.parent.parent} was begun with other demonstrations; choose another --out.")
     template, tree = jax.tree.flatten(search.state)
     leaves = [arrays[name] for name in sorted((n for n in arrays if n.startswith("state/")), key=_number)]
     same_shapes = [_to_numpy(leaf).shape for leaf in template] == [leaf.shape for leaf in leaves]
-    if not same_shapes or "history/cell" not in arrays:
+    if not same_shapes or "values" not in arrays:
         raise ConfigError(f"{path} is of another version of qdil; remove its folder to train anew.")
+    values = json.loads(str(arrays["values"]))
+    if values["demos_sha256"] != demos_sha256:
+        raise ConfigError(f"{path.parent.parent} was begun with other demonstrations; choose another --out.")
     state = jax.tree.unflatten(tree, [_like(old, new) for old, new in zip(template, leaves, strict=True)])
-    for name, one in search.archives._asdict().items():
-        archive.refill(one, {key.split("/")[1]: values for key, values in arrays.items() if key.startswith(f"{name}/")})
-    xnes = search.xnes
+    archives, xnes, rng = deepcopy((search.archives, search.xnes, search.rng))
+    for name, grid in archives._asdict().items():
+        archive.refill(grid, _in_group(arrays, name))
     xnes.mean, xnes.shape, xnes.sigma = arrays["xnes/mean"], arrays["xnes/shape"], float(arrays["xnes/sigma"])
-    xnes.rng.bit_generator.state, search.rng.bit_generator.state = told["xnes"], told["rng"]
-    plain: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in told["progress"].items()}
-    past = History(*(arrays[f"history/{name}"] for name in History._fields))
-    return search._replace(state=state), Position(**plain, history=past)
+    xnes.rng.bit_generator.state, rng.bit_generator.state = values["xnes"], values["rng"]
+    # JSON has no tuples.
+    plain: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in values["position"].items()}
+    position = Position(**plain, history=History(**_in_group(arrays, "history")))
+    return search._replace(archives=archives, xnes=xnes, rng=rng, state=state), position
+
+
+def _in_group(arrays: dict[str, np.ndarray], group: str) -> dict[str, np.ndarray]:
+    """The arrays called ``group/name``, by name."""
+    return {key.split("/")[1]: values for key, values in arrays.items() if key.startswith(f"{group}/")}
 
 
 def reached(run_folder: Path) -> tuple[int, int] | None:
-    """Warm-up updates and iterations that an unfinished run did before its newest checkpoint; None without one."""
+    """Warm-up updates and QD iterations that the newest checkpoint holds; None without a checkpoint."""
     newest = next(iter(_newest_first(run_folder)), None)
     if newest is None:
         return None
@@ -124,7 +130,7 @@ def reached(run_folder: Path) -> tuple[int, int] | None:
 
 
 def remove(run_folder: Path) -> None:
-    """Forget all checkpoints: the run is complete."""
+    """Remove all checkpoints of a finished run."""
     shutil.rmtree(run_folder / FOLDER, ignore_errors=True)
 
 
@@ -178,7 +184,7 @@ def _to_numpy(leaf: Any) -> np.ndarray:
 
 
 def _like(old: Any, new: np.ndarray) -> Any:
-    """``new`` as an array of the kind and layout of ``old``, so that nothing has to compile again."""
+    """``new`` as an array with the type and layout of ``old``, so that no program compiles again."""
     value = jax.random.wrap_key_data(jax.numpy.asarray(new)) if _is_key(old) else new.astype(old.dtype)
-    # An array that was never put anywhere, such as a key just split, must stay free to go where it is needed.
+    # JAX may move an uncommitted array, such as a key just split, to the devices of a computation: keep it that way.
     return laid_out(value, old.sharding) if old.committed else jax.numpy.asarray(value)

@@ -1,4 +1,4 @@
-"""Demonstrations from a finished expert run: which elites are chosen, and the file that training looks for."""
+"""Record demonstrations of a finished expert run."""
 
 from pathlib import Path
 
@@ -16,10 +16,11 @@ from qdil.runs.folder import demos_path, folder_of, read_archive, read_config
 def make_demos(
     env: str, budget: str, episodes: int, seed: int, expert: Path | None = None, out: Path | None = None
 ) -> Path:
-    """Choose demonstrators from a finished expert run, record an episode of each, write the file and return its path.
+    """Choose ``episodes`` elites of a finished expert run, record an episode of each, and return the file's path.
 
-    Elites: farthest points among the top fifth of the cells by return (section 5.2). Raises ConfigError if the expert
-    is missing or has too few elites.
+    The elites are spread over the measures: farthest points among the best fifth of the cells by return (section 5.2).
+    ``expert``: the run's folder (None: that of ``budget`` and ``seed``). ``out``: the file (None:
+    ``folder.demos_path``). Raises ConfigError if the expert is not finished, is of another robot or has too few elites.
     """
     expert = expert or folder_of("true", env, budget, seed)
     elites = read_archive(expert, policies=True)

@@ -1,6 +1,6 @@
-"""Which runs of experiments are finished. Does not import JAX.
+"""Finds the finished runs of experiments. Does not import JAX.
 
-The experiment ``mconbo-gail+bonus_q=1.0`` lies in ``results/<budget>/<env>/mconbo-gail+bonus_q=1.0/seed-<n>/``.
+The folder of experiment ``mconbo-gail+bonus_q=1.0`` is ``results/<budget>/<env>/mconbo-gail+bonus_q=1.0/seed-<n>/``.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,8 +15,11 @@ EXPERT_SEED = 1  # one expert gives the demonstrations, as in the paper
 def finished(
     experiments: Iterable[str], env: str, budget: str, seeds: Sequence[int] | None = None, root: Path = RESULTS
 ) -> dict[str, list[Path]]:
-    """Folders of the finished runs, in the order of ``seeds`` (None: the budget's), of experiments that have any."""
+    """Folders of finished runs by experiment, in the order of ``seeds`` (None: the budget's seeds).
+
+    Experiments without a finished run are left out.
+    """
     seeds = SEEDS[budget] if seeds is None else seeds
     folders = {e: [folder_of(e, env, budget, seed, root) for seed in seeds] for e in experiments}
-    there = {e: [folder for folder in paths if is_finished(folder)] for e, paths in folders.items()}
-    return {e: paths for e, paths in there.items() if paths}
+    finished = {e: [folder for folder in paths if is_finished(folder)] for e, paths in folders.items()}
+    return {e: paths for e, paths in finished.items() if paths}

@@ -1,4 +1,4 @@
-"""``manifest.json``: what made a run, when and from what, and the hashes of its files."""
+"""``manifest.json``: the commit, packages, device, times and demonstrations of a run, and the hashes of its files."""
 
 import platform
 import subprocess
@@ -20,29 +20,29 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def begin() -> dict[str, str]:
-    """What is to be noted when a process starts on a run."""
+def this_process() -> dict[str, str]:
+    """The commit and the time at which this process starts to work on a run."""
     return {"commit": commit(), "start": _now()}
 
 
 def write(
-    search: Search, folder: Path, begun: Sequence[dict[str, str]], seconds: float, demos_file: Path | None
+    search: Search, folder: Path, processes: Sequence[dict[str, str]], seconds: float, demos_file: Path | None
 ) -> None:
-    """Write ``folder``'s manifest, which makes it a whole run.
+    """Write ``folder``'s manifest, which makes it a finished run.
 
-    ``begun`` is one entry for each process whose work is in it: ``start`` is the first one's, ``commit`` the last
-    one's, ``resumed`` says when the others began, and ``commits``, if they differ, names all. ``seconds`` counts all
-    processes' work.
+    ``processes``: ``this_process`` of each process that worked on the run, in order. The manifest's ``start`` is the
+    first one's, ``commit`` the last one's; ``resumed`` lists the starts of the others, and ``commits`` all commits if
+    they differ. ``seconds``: wall time of all processes together.
     """
-    commits = list(dict.fromkeys(process["commit"] for process in begun))
+    commits = list(dict.fromkeys(process["commit"] for process in processes))
     devices = jax.devices()[: search.engine.num_devices]
     write_json(
         folder / "manifest.json",
         {
-            "commit": begun[-1]["commit"],
+            "commit": processes[-1]["commit"],
             **({"commits": commits} if len(commits) > 1 else {}),
-            "start": begun[0]["start"],
-            "resumed": [process["start"] for process in begun[1:]],
+            "start": processes[0]["start"],
+            "resumed": [process["start"] for process in processes[1:]],
             "packages": {name: version(name) for name in PACKAGES},
             "python": platform.python_version(),
             "device": f"{len(devices)} x {devices[0].device_kind}",

@@ -1,4 +1,4 @@
-"""Training the runs that are missing, one after the other in this process: expert and demonstrations first."""
+"""Train the runs that are missing, one after the other in this process, the expert and its demonstrations first."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -8,8 +8,12 @@ from qdil.methods import parse_method
 from qdil.runs.demos import make_demos
 from qdil.runs.experiments import EXPERT_SEED, SEEDS
 from qdil.runs.folder import RESULTS, demos_path, folder_of, is_finished
+from qdil.runs.report import Report
 from qdil.runs.studies import config_of
-from qdil.runs.train import Report, train
+from qdil.runs.train import train
+
+Say = Callable[[str], object]
+MakeReport = Callable[[Config], Report | None]
 
 
 def train_missing(
@@ -18,13 +22,14 @@ def train_missing(
     budget: str,
     seeds: Sequence[int] | None = None,
     root: Path = RESULTS,
-    say: Callable[[str], object] = print,
-    report: Callable[[Config], Report | None] = lambda config: None,
+    say: Say = print,
+    report: MakeReport = lambda config: None,
 ) -> None:
-    """Train, one after the other in this process, what is not finished yet, with the expert and demonstrations first.
+    """Train the runs of ``experiments`` that are not finished (``seeds`` None: the budget's seeds).
 
-    ``say`` hears a line for each run that is trained; ``report`` gives what each run reports its iterations to.
-    Raises ConfigError as training does.
+    Where demonstrations are missing, the expert is trained first and its episodes are recorded. ``say`` is called with
+    a line of text per run. ``report`` makes the ``Report`` of a run from its configuration. Raises ConfigError as
+    ``train`` does.
     """
     for experiment in experiments:
         for seed in SEEDS[budget] if seeds is None else seeds:
@@ -33,8 +38,8 @@ def train_missing(
             _train(config, folder_of(experiment, env, budget, seed, root), demos, say, report)
 
 
-def _demonstrations(config: Config, root: Path, say: Callable, report: Callable) -> Path:
-    """The demonstrations that ``config`` learns from, recorded from an expert trained first, if need be."""
+def _demonstrations(config: Config, root: Path, say: Say, report: MakeReport) -> Path:
+    """The file of demonstrations that ``config`` learns from; recorded first if it is missing."""
     path = demos_path(config.budget, config.env, config.demos.demo_episodes, root)
     if not path.is_file():
         expert = make_config(config.env, "true", config.budget, EXPERT_SEED)
@@ -45,7 +50,7 @@ def _demonstrations(config: Config, root: Path, say: Callable, report: Callable)
     return path
 
 
-def _train(config: Config, folder: Path, demos: Path | None, say: Callable, report: Callable) -> None:
+def _train(config: Config, folder: Path, demos: Path | None, say: Say, report: MakeReport) -> None:
     if not is_finished(folder):
         say(f"training {folder}")
         train(config, folder, demos, report(config))

@@ -1,7 +1,7 @@
-"""Which runs the paper's figures, tables and claims are made of, and what they are called.
+"""The runs behind the paper's figures, tables and claims, and their names. Does not import JAX.
 
-An *experiment* is a method, with the settings that differ from its budget's in the name: ``mconbo-gail+bonus_q=1.0``.
-A *study* is the experiments behind one figure or question.
+An *experiment* is a method with the settings that differ from its budget's, for example ``mconbo-gail+bonus_q=1.0``.
+A *study* is the list of experiments behind one figure or question.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,10 @@ DEMONSTRATIONS = (1, 2, 10)  # besides the budget's own number (Appendix H)
 
 
 def name_of(method: str, env: str = "walker2d", budget: str = "full", **changes: Any) -> str:
-    """The experiment of ``method`` with ``changes``, those left out that change nothing, or nothing but the speed."""
+    """The name of the experiment ``method`` with ``changes``.
+
+    Settings with the budget's own value are left out, and so are those that change nothing but the speed.
+    """
     default = make_config(env, method, budget)
     changed = sorted(key for key, value in changes.items() if value != value_of(default, key) and key not in SPEED_ONLY)
     return "+".join([method, *(f"{key}={_text(changes[key])}" for key in changed)])
@@ -25,7 +28,7 @@ def _text(value: Any) -> str:
 
 
 def config_of(experiment: str, env: str, budget: str, seed: int = 1) -> Config:
-    """The configuration of an experiment. Raises ConfigError for a name or setting that does not exist."""
+    """The configuration of an experiment. Raises ConfigError for an unknown method or setting."""
     method, *changes = experiment.split("+")
     return make_config(env, method, budget, seed, **parse_settings(changes))
 
@@ -76,11 +79,12 @@ STUDIES: dict[str, tuple[str, ...]] = {
 assert all(any(f"{name}=" in e for e in STUDIES["released"]) for name in RELEASED)
 
 
-SMOKE_CANNOT = ("demo_episodes=1", "demo_episodes=10")  # one is its default, and its pool of elites is too small for 10
+# One demonstration is the default of smoke, and its few elites do not suffice for ten.
+SMOKE_CANNOT = ("demo_episodes=1", "demo_episodes=10")
 
 
 def experiments_of(studies: Iterable[str], budget: str) -> tuple[str, ...]:
-    """The experiments of some studies at a budget, each once. Raises ConfigError for a study that does not exist."""
+    """The experiments of ``studies`` at a budget, without repeats. Raises ConfigError for an unknown study."""
     names: list[str] = []
     for study in studies:
         if study not in STUDIES:

@@ -1,9 +1,6 @@
-"""A run as a folder: trains a configuration and writes config, metrics, history, archive, policies and manifest."""
+"""Train a run in its folder, with checkpoints: config, metrics, history, archive, policies and manifest."""
 
-import math
-import os
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -11,9 +8,10 @@ import jax
 import numpy as np
 
 from qdil import ppga
-from qdil.config import Config, ConfigError, same_but_for_speed, to_json, with_current_names
+from qdil.config import Config, same_but_for_speed, to_json, with_current_names
 from qdil.devices import hosts
 from qdil.engine.engine import Engine
+from qdil.errors import ConfigError
 from qdil.files import read_json, sha256, write_csv, write_json, write_npz
 from qdil.imitation import demos as demonstrations
 from qdil.imitation.reward_model import Demonstrations
@@ -23,57 +21,75 @@ from qdil.qd.history import History
 from qdil.runs import checkpoint, manifest
 from qdil.runs.checkpoint import Position
 from qdil.runs.folder import demos_path, is_finished
+from qdil.runs.report import Report
 
 ARCHIVE_FIELDS = ("index", "measures", "fitness", "true_return", "length")
 POLICY_FIELDS = ("index", "solution", "obs_mean", "obs_std")
 FIRST_COLUMNS = [
     "iteration", "env_steps", "wall_seconds", "qd_score", "coverage", "best", "average", "learned_qd_score", "restarts",
 ]  # fmt: skip
-SAVE_EVERY = 20.0  # seconds between checkpoints (and rewrites of metrics.csv) while a run goes on
-SAVE_VARIABLE = "QDIL_SAVE_SECONDS"  # an environment variable that says otherwise
-SAVE_SHARE = 0.03  # of a run's time, at most, goes into saving it
-
-# Called after every iteration with its row of metrics. One that also has ``announce(folder, reached)`` hears, once,
-# that a run is about to begin there, or to go on after these warm-up updates and iterations (``checkpoint.reached``).
-Report = Callable[[ppga.Search, dict[str, float]], None]
+SAVE_SECONDS = 20.0  # between two checkpoints (and rewrites of metrics.csv), by default
+SAVE_SHARE = 0.03  # largest share of a run's time that goes into saving; slow disks get fewer checkpoints
 
 
-def train(config: Config, folder: Path, demos_file: Path | None = None, report: Report | None = None) -> bool:
-    """Run ``config`` in ``folder``, from where an earlier process left it. False if that run is already finished there.
+def train(
+    config: Config,
+    folder: Path,
+    demos_file: Path | None = None,
+    report: Report | None = None,
+    save_seconds: float = SAVE_SECONDS,
+) -> bool:
+    """Train ``config`` in ``folder``, or resume from its newest checkpoint. False if that run is already finished.
 
-    Raises ConfigError before anything compiles: demonstrations missing or unusable, a run of another configuration in
-    the folder, or another process at work in it.
+    ``demos_file``: demonstrations, by default ``folder.demos_path``'s. ``save_seconds``: the time between checkpoints.
+    Raises ConfigError before anything compiles: for demonstrations that are missing or do not fit, for a run with
+    other settings in the folder, and where another process is training there.
     """
+    if not save_seconds >= 0:
+        raise ConfigError(f"save_seconds={save_seconds} must be at least 0.")
     demos_file = _demos_file(config, demos_file)
 
     def is_done() -> bool:
         return _is_done(config, folder, demos_file)
 
-    if hosts.run_on_host0(is_done):  # without the lock, for which the folder would have to be written to
+    if hosts.run_on_host0(is_done):  # before the lock, which needs a folder that can be written to
         return False
-    demos, save_every = _checked(config, demos_file), _save_every()
+    demos = _checked(config, demos_file)
     with ExitStack() as stack:
 
-        def lock_and_look_again() -> bool:
+        def lock_and_check_again() -> bool:
             stack.enter_context(checkpoint.locked(folder))
-            return is_done()  # another process may have finished the run a moment ago
+            return is_done()  # another process may have finished the run since
 
-        if hosts.run_on_host0(lock_and_look_again):
+        if hosts.run_on_host0(lock_and_check_again):
             return False
-        if announce := getattr(report, "announce", None):
-            announce(folder, checkpoint.reached(folder))
-        begun, search = manifest.begin(), ppga.begin(config, demos)
-        if hosts.is_first():
-            write_json(folder / "config.json", to_json(config))
-        saving = _Saving(folder, sha256(demos_file) if demos_file else None, save_every)
-        search, now = _iterations(search, saving, begun, report)
-        again = ppga.reevaluate(search, jax.random.fold_in(jax.random.key(config.seed), 1))
-        if hosts.is_first():
-            _write_archive(search, again, folder)
-            _write_history(now.history, config.ppga.iterations, folder)
-            manifest.write(search, folder, now.begun, now.seconds, demos_file)
-            checkpoint.remove(folder)
+        if report is not None:
+            report.announce(folder, checkpoint.reached(folder))
+        _train(config, folder, demos, demos_file, report, save_seconds)
     return True
+
+
+def _train(
+    config: Config,
+    folder: Path,
+    demos: Demonstrations | None,
+    demos_file: Path | None,
+    report: Report | None,
+    save_seconds: float,
+) -> None:
+    """Everything that happens while the folder is locked: train, score the elites again, write the results."""
+    process = manifest.this_process()
+    search = ppga.begin(config, demos)
+    if hosts.is_first():
+        write_json(folder / "config.json", to_json(config))
+    saver = _Saver(folder, sha256(demos_file) if demos_file else None, save_seconds)
+    search, position = _iterations(search, saver, process, report)
+    rescored = ppga.reevaluate(search, jax.random.fold_in(jax.random.key(config.seed), 1))
+    if hosts.is_first():
+        _write_archive(search, rescored, folder)
+        _write_history(position.history, config.ppga.iterations, folder)
+        manifest.write(search, folder, position.processes, position.seconds, demos_file)
+        checkpoint.remove(folder)
 
 
 def _demos_file(config: Config, given: Path | None) -> Path | None:
@@ -84,12 +100,12 @@ def _demos_file(config: Config, given: Path | None) -> Path | None:
 
 
 def _is_done(config: Config, folder: Path, demos_file: Path | None) -> bool:
-    """Whether ``folder`` holds this very run, finished. Raises ConfigError if it holds another, finished or not."""
+    """Whether ``folder`` holds this run, finished. Raises ConfigError if it holds another run, finished or not."""
     _check_settings(config, folder)
     if not is_finished(folder):
         return False
     _check_demonstrations(folder, demos_file)
-    checkpoint.remove(folder)  # there still, if the process was killed right after it had finished the run
+    checkpoint.remove(folder)  # it remains if the process was killed between writing the manifest and removing it
     return True
 
 
@@ -97,8 +113,10 @@ def _check_settings(config: Config, folder: Path) -> None:
     """Raise ConfigError if ``folder`` holds a run, finished or not, with other settings."""
     if not (folder / "config.json").is_file():
         return
-    there, wanted = with_current_names(read_json(folder / "config.json")), to_json(config)
-    if not same_but_for_speed(there, wanted) if is_finished(folder) else there != wanted:
+    recorded, wanted = with_current_names(read_json(folder / "config.json")), to_json(config)
+    # A run is resumed with exactly its own settings, those of speed included.
+    agree = same_but_for_speed(recorded, wanted) if is_finished(folder) else recorded == wanted
+    if not agree:
         what = "a finished run" if is_finished(folder) else "an unfinished run"
         raise ConfigError(
             f"{folder} holds {what} with other settings; choose another --out, or remove the folder to train anew."
@@ -116,9 +134,10 @@ def _check_demonstrations(folder: Path, demos_file: Path | None) -> None:
 
 
 def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
-    """The demonstrations, if any. Raises ConfigError for all that would otherwise be refused after the lock is taken.
+    """The demonstrations, or None for a method without any.
 
-    That is, demonstrations that cannot be used, and devices that are not there or do not divide the robots.
+    Raises ConfigError for demonstrations that are missing or do not fit the robot, and for devices that do not exist
+    or do not divide the robots.
     """
     try:
         engine = Engine(config)  # compiles nothing yet
@@ -139,98 +158,91 @@ def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
     return demos
 
 
-def _save_every() -> float:
-    """Seconds between checkpoints. Raises ConfigError where the variable that sets them holds no such number."""
-    text = os.environ.get(SAVE_VARIABLE, "")
-    try:
-        seconds = float(text) if text else SAVE_EVERY
-    except ValueError:
-        seconds = math.nan
-    if not seconds >= 0:
-        raise ConfigError(f"{SAVE_VARIABLE}={text} must be a number of seconds, at least 0.")
-    return seconds
-
-
 def _iterations(
-    search: ppga.Search, saving: "_Saving", begun: dict[str, str], report: Report | None
+    search: ppga.Search, saver: "_Saver", process: dict[str, str], report: Report | None
 ) -> tuple[ppga.Search, Position]:
-    """What is left of the warm-up and of the QD iterations, with ``metrics.csv`` and a checkpoint kept up to date."""
+    """Run the rest of the warm-up and of the QD iterations; keep ``metrics.csv`` and the checkpoints up to date."""
     config = search.config
-    search, now = checkpoint.load(saving.folder, search, saving.demos_sha256) or (search, Position())
-    now = now._replace(begun=(*now.begun, begun))
-    hosts.wait_for_all("loaded")  # before the first writes a newer checkpoint
-    began = time.monotonic() - now.seconds  # as if there had been no interruption
-    while now.iteration < config.ppga.iterations:
-        if now.warmed < config.ppga.warmup_updates:
-            search, now = _warm_up(search, now)
+    search, position = checkpoint.load(saver.folder, search, saver.demos_sha256) or (search, Position())
+    position = position._replace(processes=(*position.processes, process))
+    hosts.wait_for_all("loaded")  # before host 0 writes a newer checkpoint
+    start = time.monotonic() - position.seconds  # where the clock would have started without interruptions
+    while position.iteration < config.ppga.iterations:
+        if position.warmed < config.ppga.warmup_updates:
+            search, position = _warm_up(search, position)
         else:
-            search, now = _iteration(search, now, began)
+            search, position = _iteration(search, position, start)
             if report is not None:
-                report(search, now.rows[-1])
-        now = now._replace(seconds=time.monotonic() - began)
-        saving(search, now, last=now.iteration == config.ppga.iterations)
-    return search, now
+                report(search, position.rows[-1])
+        position = position._replace(seconds=time.monotonic() - start)
+        saver.save_if_due(search, position, last=position.iteration == config.ppga.iterations)
+    return search, position
 
 
-def _warm_up(search: ppga.Search, now: Position) -> tuple[ppga.Search, Position]:
-    """A round of the warm-up, which has no row of its own in ``metrics.csv``."""
-    search, done, info = ppga.warm_up(search, search.config.ppga.warmup_updates - now.warmed)
-    return search, now._replace(
-        warmed=now.warmed + done,
-        env_steps=now.env_steps + info["steps"],
-        rolled_back=now.rolled_back + info["rolled_back"],
+def _warm_up(search: ppga.Search, position: Position) -> tuple[ppga.Search, Position]:
+    """One round of the warm-up, which has no row in ``metrics.csv``."""
+    search, done, info = ppga.warm_up(search, search.config.ppga.warmup_updates - position.warmed)
+    return search, position._replace(
+        warmed=position.warmed + done,
+        env_steps=position.env_steps + info["steps"],
+        rolled_back=position.rolled_back + info["rolled_back"],
     )
 
 
-def _iteration(search: ppga.Search, now: Position, began: float) -> tuple[ppga.Search, Position]:
-    """A QD iteration, its row of ``metrics.csv`` and its part of the history; the run ``began`` on this clock."""
+def _iteration(search: ppga.Search, position: Position, start: float) -> tuple[ppga.Search, Position]:
+    """One QD iteration, its row of ``metrics.csv`` and its part of the history.
+
+    ``start``: when the run started, by ``time.monotonic``.
+    """
     search, info = ppga.iteration(search)
-    info = info._replace(rolled_back=info.rolled_back + now.rolled_back)
-    now = now._replace(
-        iteration=now.iteration + 1,
-        env_steps=now.env_steps + info.steps,
-        restarts=now.restarts + info.restarts,
+    info = info._replace(rolled_back=info.rolled_back + position.rolled_back)
+    position = position._replace(
+        iteration=position.iteration + 1,
+        env_steps=position.env_steps + info.steps,
+        restarts=position.restarts + info.restarts,
         rolled_back=0.0,
     )
     elites, cells = archive.returns(search.archives), int(search.archives.result.cells)
     row = {
-        "iteration": now.iteration,
-        "env_steps": int(now.env_steps),
-        "wall_seconds": round(time.monotonic() - began, 3),
+        "iteration": position.iteration,
+        "env_steps": int(position.env_steps),
+        "wall_seconds": round(time.monotonic() - start, 3),
         **archive.metrics(elites, cells),
-        "restarts": int(now.restarts),
+        "restarts": int(position.restarts),
         **info.columns(),
     }
-    past = history.append(now.history, now.iteration, elites, cells)
-    return search, now._replace(rows=(*now.rows, row), history=past)
+    past = history.append(position.history, position.iteration, elites, cells)
+    return search, position._replace(rows=(*position.rows, row), history=past)
 
 
-class _Saving:
-    """Writes metrics and checkpoints every few seconds, and so seldom that it takes a small share of the time."""
+class _Saver:
+    """Writes metrics and a checkpoint every ``save_seconds``, and less often where that takes over ``SAVE_SHARE``."""
 
-    def __init__(self, folder: Path, demos_sha256: str | None, every: float) -> None:
-        self.folder, self.demos_sha256, self.every = folder, demos_sha256, every
-        self.next = time.monotonic() + every
+    def __init__(self, folder: Path, demos_sha256: str | None, save_seconds: float) -> None:
+        self.folder, self.demos_sha256, self.save_seconds = folder, demos_sha256, save_seconds
+        self.due = time.monotonic() + save_seconds
 
-    def __call__(self, search: ppga.Search, now: Position, last: bool) -> None:
+    def save_if_due(self, search: ppga.Search, position: Position, last: bool) -> None:
+        """Save if it is time to, or if this is the ``last`` iteration."""
         start = time.monotonic()
-        if not hosts.broadcast_from_host0(start >= self.next or last):
+        if not hosts.broadcast_from_host0(start >= self.due or last):
             return
-        if now.rows and hosts.is_first():
-            write_csv(self.folder / "metrics.csv", list(dict.fromkeys(FIRST_COLUMNS + list(now.rows[-1]))), now.rows)
-        checkpoint.save(self.folder, search, now, self.demos_sha256)
+        rows = position.rows
+        if rows and hosts.is_first():
+            write_csv(self.folder / "metrics.csv", list(dict.fromkeys(FIRST_COLUMNS + list(rows[-1]))), rows)
+        checkpoint.save(self.folder, search, position, self.demos_sha256)
         took = time.monotonic() - start
-        self.next = start + max(self.every, took / SAVE_SHARE)
+        self.due = start + max(self.save_seconds, took / SAVE_SHARE)
 
 
-def _write_archive(search: ppga.Search, again: dict[str, np.ndarray], folder: Path) -> None:
+def _write_archive(search: ppga.Search, rescored: dict[str, np.ndarray], folder: Path) -> None:
     elites = archive.elite_arrays(search.archives)
     cells = np.asarray(search.archives.result.dims)
-    write_npz(folder / "archive.npz", **{name: elites[name] for name in ARCHIVE_FIELDS}, **again, cells=cells)
+    write_npz(folder / "archive.npz", **{name: elites[name] for name in ARCHIVE_FIELDS}, **rescored, cells=cells)
     write_npz(folder / "policies.npz", **{name: elites[name] for name in POLICY_FIELDS})
 
 
 def _write_history(past: History, iterations: int, folder: Path) -> None:
-    """``index`` names cells as in ``archive.npz``; ``iterations`` is how many there were."""
+    """``index`` numbers cells as in ``archive.npz``; ``iterations`` is the number of QD iterations."""
     arrays = {name: values for name, values in past._asdict().items() if name != "cell"}
     write_npz(folder / "history.npz", **arrays, index=past.cell, iterations=np.array(iterations))

@@ -1,1 +1,1 @@
-"""For people at a terminal: the bench, plans, verification, a look inside an iteration."""
+"""Tools of the command line: speed (bench, against), a run's plan before it starts, and the check of a finished run."""

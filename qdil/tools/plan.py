@@ -1,4 +1,4 @@
-"""What a run will do and about how long it will take on this machine, before it is begun."""
+"""``qdil train --dry-run``: a run's environment steps, and an estimate of its time on this machine."""
 
 import json
 import math
@@ -19,25 +19,25 @@ CALIBRATION_UPDATES = 3
 
 
 class Steps(NamedTuple):
-    """Environment steps of a run's parts; those of episodes as if each lasted to its time limit."""
+    """Environment steps of a run's parts, if every episode lasts to its time limit."""
 
     warm_up: int
-    training: int  # both VPPO phases of all iterations, and the rollouts that a reward model learns from
+    training: int  # gradients and walks of all iterations, and the rollouts that the reward model learns from
     evaluation: int
-    rescoring: int  # of all elites at the end, as if every cell were filled
+    rescoring: int  # all elites again at the end, if every cell is filled
 
 
 class Speed(NamedTuple):
-    """What a short calibration on this machine says."""
+    """Speeds measured by a short calibration on this machine."""
 
-    start_seconds: float  # to compile, and for the reward model to learn what it learns before the run
+    start_seconds: float  # to compile every program, and for what the reward model learns before iteration 1
     training: float  # environment steps per second
-    evaluation: float
-    reward_seconds: float  # of a round of the reward model's learning; 0 where it does not learn
+    evaluation: float  # environment steps per second
+    reward_seconds: float  # one update of the reward model; 0 if it does not learn
 
 
 class Plan(NamedTuple):
-    """A run's size and its estimated time."""
+    """A run's environment steps and speeds, and the time that follows from them."""
 
     steps: Steps
     speed: Speed
@@ -45,7 +45,7 @@ class Plan(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """An estimate of the whole run, from above where episodes end early."""
+        """Estimated time of the whole run; too long if episodes end early."""
         steps, speed = self.steps, self.speed
         return (
             speed.start_seconds
@@ -56,9 +56,10 @@ class Plan(NamedTuple):
 
 
 def plan(config: Config) -> Plan:
-    """Count the steps of ``config`` and time a few VPPO updates, a round of the reward's learning, a chunk of episodes.
+    """Count the steps of ``config``; time some VPPO updates, one update of the reward model, one chunk of episodes.
 
-    A method that imitates is timed on made-up demonstrations. Not timed: what its reward costs in evaluated episodes.
+    A method that imitates is timed on made-up demonstrations. The estimate leaves out the computation of learned
+    rewards in evaluated episodes.
     """
     engine = Engine(config)
     rounds = config.ppga.iterations + math.ceil(config.ppga.warmup_updates / config.ppga.walk_updates)
@@ -67,7 +68,7 @@ def plan(config: Config) -> Plan:
 
 
 def count(config: Config, learns: bool, k: int) -> Steps:
-    """Environment steps of a run whose reward model ``learns`` or not, with ``k`` measures."""
+    """Environment steps of a run with ``k`` measures. ``learns``: the reward model is updated in every iteration."""
     ppga = config.ppga
     rollout = config.ppo.rollout_length * config.ppo.num_envs
     episodes = ppga.candidates * config.evaluation.episodes * config.simulation.episode_length
@@ -81,11 +82,11 @@ def count(config: Config, learns: bool, k: int) -> Steps:
 
 
 def _calibrated(engine: Engine) -> Speed:
-    """Everything once, to compile it, and then again by the clock."""
+    """Do everything once, to compile it, and time it the second time."""
     began, config = time.monotonic(), engine.config
     rows = config.demos.demo_episodes * config.simulation.episode_length
     demos = made_up(engine.env, rows) if parse_method(config.method).base.imitates else None
-    engine.compile_all(jax.random.key(0), demos)  # as a run begins
+    engine.compile_all(jax.random.key(0), demos)
     state = engine.init(jax.random.key(0), demos)
     trained, _ = _train(engine, state, 1)
     _evaluate(engine, state)
@@ -105,7 +106,7 @@ def _occupied(engine: Engine) -> jax.Array:
 
 
 def _train(engine: Engine, state: State, updates: int) -> tuple[Trained, float]:
-    """So many VPPO updates, whole epochs included, and their seconds."""
+    """The result of ``updates`` VPPO updates with all of their epochs, and the seconds they took."""
     began = time.monotonic()
     trained = engine.train_copies(state, _occupied(engine), updates)
     jax.block_until_ready(trained.theta)
@@ -113,7 +114,7 @@ def _train(engine: Engine, state: State, updates: int) -> tuple[Trained, float]:
 
 
 def _learn(engine: Engine, trained: Trained, demos: Demonstrations | None) -> float:
-    """Seconds of a round of the reward model's learning."""
+    """Seconds of one update of the reward model; 0 if it does not learn."""
     if demos is None or not engine.model.learns:
         return 0.0
     began = time.monotonic()
@@ -123,9 +124,9 @@ def _learn(engine: Engine, trained: Trained, demos: Demonstrations | None) -> fl
 
 
 def _evaluate(engine: Engine, state: State) -> float:
-    """Steps per second of candidates.
+    """Environment steps per second of candidates.
 
-    Early robots fall soon, and a robot that falls takes time to the end of its chunk: so chunks count whole.
+    Untrained robots fall soon, and a fallen robot is simulated to the end of its chunk, so its whole chunk counts.
     """
     config = engine.config
     coefficients = np.zeros((config.ppga.candidates, engine.objectives))
@@ -138,7 +139,7 @@ def _evaluate(engine: Engine, state: State) -> float:
 
 
 def report(config: Config, planned: Plan) -> str:
-    """The resolved configuration, the steps and the estimate, for people."""
+    """The configuration, the steps and the estimate as text."""
     steps, speed, rounds = planned.steps, planned.speed, planned.reward_rounds
     lines = [
         json.dumps(to_json(config), indent=2),
@@ -150,5 +151,5 @@ def report(config: Config, planned: Plan) -> str:
         f"{speed.start_seconds:.0f} s to compile and begin",
     ]
     if rounds:
-        lines.append(f"{rounds} rounds of the reward model's learning, {speed.reward_seconds:.2f} s each")
+        lines.append(f"{rounds} updates of the reward model, {speed.reward_seconds:.2f} s each")
     return "\n".join([*lines, f"estimate:    {planned.seconds / 60:15,.1f} minutes"])

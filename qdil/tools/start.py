@@ -1,4 +1,7 @@
-"""How long a run takes to start: from the process's start to its first iteration's end, cold and warm."""
+"""The time from the start of a ``qdil train`` process to the end of a run of one iteration, cold and warm.
+
+Cold: the cache of compiled programs is empty. Warm: it holds every program.
+"""
 
 import os
 import statistics
@@ -7,9 +10,9 @@ import sys
 import tempfile
 import time
 
-WARM_STARTS = 3  # a single one says as much of the machine's moment as of the program
+WARM_STARTS = 3  # a single one depends too much on what else the machine does
 
-# A run like any other, which also adds up what compiling, or loading from the cache, took over all of its programs.
+# ``qdil train``, which also prints the seconds that compiling all programs, or loading them from the cache, took.
 RUN = """
 import sys
 import qdil.cli
@@ -26,10 +29,10 @@ sys.exit(code)
 
 
 def start_seconds(env: str = "walker2d", method: str = "true") -> dict[str, float]:
-    """Seconds at ``smoke``, ``cold`` and ``warm``: of the whole ``start``, and of its programs' ``compile`` added up.
+    """Seconds at ``smoke``, cold (one start) and warm (the median of ``WARM_STARTS``).
 
-    Cold is one start, warm the median of ``WARM_STARTS``.
-    Programs compile beside each other and beside other work, so that the sum can exceed what a start takes.
+    ``*_start_seconds``: the whole process. ``*_compile_seconds``: the sum over its programs of the time to compile or
+    load them. Programs compile beside each other and beside other work, so the sum may exceed the whole.
     """
     took: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:

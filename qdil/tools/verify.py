@@ -1,4 +1,4 @@
-"""Is a run what its folder says: hashes again, and a sample of its elites on new episodes."""
+"""``qdil verify``: check a finished run's files by their hashes, and evaluate a sample of its elites again."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,25 +15,25 @@ from qdil.runs.folder import is_finished, read_archive
 
 
 class Verified(NamedTuple):
-    """What ``verify`` found."""
+    """The result of ``verify``."""
 
-    changed: list[str]  # files whose content is not what the manifest says
-    missing: list[str]  # files that the manifest names and the folder lacks
+    changed: list[str]  # files whose hash is not the manifest's
+    missing: list[str]  # files that the manifest names and the folder does not contain
     sampled: int  # elites evaluated again; 0 without policies
-    returns: np.ndarray  # (sampled, 2) true return as archived, and on new episodes
+    returns: np.ndarray  # (sampled, 2) true return in the archive, and on new episodes
     moved: np.ndarray  # (sampled,) distance between archived and new measures
-    obstacle: str = ""  # why no elite was evaluated again, if nothing is changed or missing
+    obstacle: str = ""  # the reason why no elite was evaluated, if no file is changed or missing
 
     def sound(self) -> bool:
-        """Whether all files are there as the manifest says; policies are not kept in git and may be absent."""
+        """Whether all files match the manifest. Policies may be missing, since they are not kept in git."""
         return not self.changed and set(self.missing) <= {"policies.npz"}
 
 
 def verify(folder: Path, seed: int = 0) -> Verified:
-    """Check a finished run in ``folder``. Raises ConfigError if there is none, or its manifest is damaged.
+    """Check the finished run in ``folder``. Raises ConfigError if there is none, or if its manifest is damaged.
 
-    Hashes come first: they need nothing but the manifest, so that a damaged file, or a run of another version of this
-    program, is told from a sound one whatever else can be read of it.
+    The hashes are checked first. They need the manifest alone, so that they can be checked for runs of other versions
+    of this program and for runs with damaged files.
     """
     expected = _expected(folder)
     missing = [name for name in expected if not (folder / name).is_file()]
@@ -50,7 +50,7 @@ def verify(folder: Path, seed: int = 0) -> Verified:
     if count == 0:
         return nothing._replace(obstacle="The archive is empty.")
     rows = np.random.default_rng(seed).choice(len(elites["index"]), count, replace=False)
-    true_return, measures = _evaluate(config, {name: values for name, values in elites.items()}, rows, seed)
+    true_return, measures = _evaluate(config, elites, rows, seed)
     return Verified(
         changed,
         missing,
@@ -61,7 +61,7 @@ def verify(folder: Path, seed: int = 0) -> Verified:
 
 
 def _expected(folder: Path) -> dict[str, str]:
-    """The hashes by file name that a run's manifest holds."""
+    """The hashes in a run's manifest, by file name."""
     if not is_finished(folder):
         raise ConfigError(f"there is no finished run in {folder}.")
     expected = read_json(folder / "manifest.json").get("sha256")
@@ -73,8 +73,9 @@ def _expected(folder: Path) -> dict[str, str]:
 def _evaluate(
     config: Config, elites: dict[str, np.ndarray], rows: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """True return (λ,) and measures (λ, k) of elites ``rows``, the last one repeated to fill a batch."""
-    engine = Engine(change(config, method="true", devices=0))  # it may have been made on more devices than are here
+    """True return (λ,) and measures (λ, k) of elites ``rows``, the last of which is repeated to fill a batch."""
+    # This machine may have fewer devices than the one that trained the run.
+    engine = Engine(change(config, method="true", devices=0))
     rows = np.concatenate([rows, np.full(config.ppga.candidates - len(rows), rows[-1])])
     key, init_key = jax.random.split(jax.random.key(seed))
     occupied = jnp.zeros((config.ppga.cells,) * elites["measures"].shape[1], bool)
@@ -83,17 +84,17 @@ def _evaluate(
 
 
 def report(found: Verified) -> str:
-    """The findings in a few lines."""
-    lines = [f"{name}: not what the manifest says" for name in found.changed]
+    """The result in a few lines of text."""
+    lines = [f"{name}: does not match the manifest" for name in found.changed]
     lines += [f"{name}: missing" for name in found.missing]
     if not lines:
-        lines.append("All files are as the manifest says.")
+        lines.append("All files match the manifest.")
     if found.sampled:
-        before, after = found.returns.T
-        change = np.median(np.abs(after - before))
+        old, new = found.returns.T
+        change = np.median(np.abs(new - old))
         lines += [
             f"{found.sampled} elites on new episodes:",
-            f"  average return {before.mean():.1f} as archived, {after.mean():.1f} now (median change {change:.1f});",
+            f"  average return {old.mean():.1f} in the archive, {new.mean():.1f} now (median change {change:.1f}),",
             f"  measures moved by {np.median(found.moved):.3f} (median), {found.moved.max():.3f} (largest).",
         ]
     elif found.missing and found.sound():

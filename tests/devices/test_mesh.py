@@ -1,10 +1,10 @@
-"""How many devices a run takes, and what it says of those that it leaves."""
+"""How many devices a run uses, and the sentence about those that are idle."""
 
 import jax
 import pytest
 
 from qdil.devices import mesh
-from qdil.config import ConfigError
+from qdil.errors import ConfigError
 
 
 @pytest.fixture
@@ -19,22 +19,23 @@ def test_as_many_devices_as_divide_both_counts(eight, per_copy, candidates, used
     assert mesh.choose_num_devices(0, per_copy, candidates) == used
 
 
-def test_devices_that_are_left_without_work_are_told_with_what_would_divide(eight):
+def test_idle_devices_are_reported_with_counts_that_would_use_all(eight):
     assert mesh.idle_devices(0, 64, 96) is None
-    assert mesh.idle_devices(5, 1000, 300) is None  # as was asked for
-    said = mesh.idle_devices(0, 1000, 300)
-    assert said.startswith("Using 5 of 8 devices") and "num_envs=3000 and candidates=304 would use all" in said
+    assert mesh.idle_devices(5, 1000, 300) is None  # the user asked for five
+    sentence = mesh.idle_devices(0, 1000, 300)
+    assert sentence.startswith("Using 5 of 8 devices")
+    assert "num_envs=3000 and candidates=304 would use all" in sentence
     assert mesh.choose_num_devices(0, 3000 // 3, 304) == 8
     assert "num_envs=24 and candidates=8 " in mesh.idle_devices(0, 7, 8)
 
 
 @pytest.mark.parametrize(
-    ("requested", "counts", "said"),
+    ("requested", "counts", "message"),
     [(9, (9, 9), "devices=9 was asked for, but this process has 8"), (3, (8, 9), "devices=3 must divide"),
      (3, (9, 8), "here 9 and 8")],
 )  # fmt: skip
-def test_what_cannot_be_met_is_refused_in_a_sentence(eight, requested, counts, said):
-    with pytest.raises(ConfigError, match=said) as refused:
+def test_what_cannot_be_met_is_refused_in_a_sentence(eight, requested, counts, message):
+    with pytest.raises(ConfigError, match=message) as refused:
         mesh.choose_num_devices(requested, *counts)
     assert str(refused.value).endswith(".")
 

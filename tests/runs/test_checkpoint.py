@@ -1,4 +1,4 @@
-"""Runs that are interrupted, damaged, or started twice: nothing is lost and nothing is different in the end."""
+"""Runs that are interrupted, damaged or started twice end with the same files, and nothing is lost."""
 
 import json
 import os
@@ -6,41 +6,55 @@ import shutil
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from fake_runs import same_run
 
-from qdil.runs import checkpoint, manifest
 from qdil import ppga
-from qdil.runs.folder import is_finished
-from qdil.runs.demos import make_demos
-from qdil.runs.train import train
-from qdil.runs.checkpoint import Progress
-from qdil.config import ConfigError, make_config
-from qdil.files import sha256
+from qdil.config import make_config
+from qdil.errors import ConfigError
 from qdil.qd import archive, history
+from qdil.runs import checkpoint, manifest
+from qdil.runs import train as training
+from qdil.runs.checkpoint import Position
+from qdil.runs.demos import make_demos
+from qdil.runs.folder import is_finished
+from qdil.runs.report import AfterIteration
+
+pytestmark = pytest.mark.physics
 
 CONFIG = make_config("walker2d", "true", "smoke", iterations=4)
 
 
 class Stopped(Exception):
-    """What interrupts a run in these tests."""
+    """Interrupts a run in these tests."""
 
 
-def stop_after(iteration: int):
-    def report(search, row):
+def stop_after(iteration: int) -> AfterIteration:
+    def stop(search, row):
         if row["iteration"] == iteration:
             raise Stopped
 
-    return report
+    return AfterIteration(stop)
+
+
+def append_iterations(seen: list) -> AfterIteration:
+    """Append the number of every iteration to ``seen``."""
+    return AfterIteration(lambda search, row: seen.append(row["iteration"]))
 
 
 @pytest.fixture(autouse=True)
 def save_always(monkeypatch):
-    monkeypatch.setattr(run, "SAVE_EVERY", 0.0)
-    monkeypatch.setattr(run, "SAVE_SHARE", 1e9)
+    monkeypatch.setattr(training, "SAVE_SHARE", 1e9)
+
+
+def train(config, folder, demos=None, report=None):
+    """``train`` that saves after every iteration."""
+    return training.train(config, folder, demos, report, save_seconds=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -58,19 +72,10 @@ def interrupted(tmp_path) -> Path:
     return tmp_path
 
 
-def same_run(one: Path, other: Path) -> bool:
-    """The same archive and its history, byte for byte, and the same metrics but for the clock."""
-    rows = [np.genfromtxt(f / "metrics.csv", delimiter=",", names=True) for f in (one, other)]
-    columns = [name for name in rows[0].dtype.names if name != "wall_seconds"]
-    for name in columns:
-        np.testing.assert_array_equal(rows[0][name], rows[1][name])
-    return all(sha256(one / name) == sha256(other / name) for name in ("archive.npz", "history.npz"))
-
-
 def test_a_resumed_run_ends_as_if_nothing_had_happened(interrupted, uninterrupted):
     assert not is_finished(interrupted)
     seen = []
-    assert train(CONFIG, interrupted, report=lambda search, row: seen.append(row["iteration"]))
+    assert train(CONFIG, interrupted, report=append_iterations(seen))
     assert seen == [3, 4]
     assert same_run(interrupted, uninterrupted)
     assert not (interrupted / "checkpoint").exists()
@@ -83,26 +88,27 @@ def demos(uninterrupted, tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("method", ["mconbo-gail", "vail", "pwil"])
 def test_an_imitator_resumes_as_if_nothing_had_happened(method, demos, tmp_path):
-    """With what its reward model has learned, its optimiser, and what it remembers of episodes that are going on."""
+    """Its reward model, the optimiser and the memory of unfinished episodes are restored, too."""
     config = make_config("walker2d", method, "smoke", iterations=3)
     train(config, tmp_path / "whole", demos)
     with pytest.raises(Stopped):
         train(config, tmp_path / "resumed", demos, stop_after(2))
     seen = []
-    train(config, tmp_path / "resumed", demos, lambda search, row: seen.append(row["iteration"]))
+    train(config, tmp_path / "resumed", demos, append_iterations(seen))
     assert seen == [2, 3]
     assert same_run(tmp_path / "resumed", tmp_path / "whole")
 
 
-def test_the_manifest_of_a_resumed_run_tells_all_beginnings(interrupted, uninterrupted, monkeypatch):
-    manifests = [json.loads((uninterrupted / "manifest.json").read_text())]
-    monkeypatch.setattr(manifest, "begin", lambda: {"commit": "another", "start": "2100-01-01T00:00:00+00:00"})
-    train(CONFIG, interrupted)
-    manifests.append(json.loads((interrupted / "manifest.json").read_text()))
-    assert manifests[0]["resumed"] == [] and "commits" not in manifests[0]
-    assert manifests[0]["start"] <= manifests[1]["start"] < "2100"
-    assert manifests[1]["resumed"] == ["2100-01-01T00:00:00+00:00"]
-    assert manifests[1]["commits"] == [manifests[0]["commit"], "another"] and manifests[1]["commit"] == "another"
+def test_the_manifest_of_a_resumed_run_lists_all_processes(tmp_path, uninterrupted, monkeypatch):
+    alone = json.loads((uninterrupted / "manifest.json").read_text())
+    assert alone["resumed"] == [] and "commits" not in alone and alone["start"] <= alone["end"]
+    for commit, start, report in (("one", "2100-01-01", stop_after(3)), ("two", "2100-01-02", None)):
+        monkeypatch.setattr(manifest, "this_process", lambda c=commit, s=start: {"commit": c, "start": s})
+        with pytest.raises(Stopped) if report else nullcontext():
+            train(CONFIG, tmp_path, report=report)
+    both = json.loads((tmp_path / "manifest.json").read_text())
+    assert (both["start"], both["resumed"]) == ("2100-01-01", ["2100-01-02"])
+    assert (both["commit"], both["commits"]) == ("two", ["one", "two"])
 
 
 def test_an_interrupted_warm_up_goes_on_too(tmp_path, uninterrupted, monkeypatch):
@@ -135,14 +141,14 @@ def test_a_damaged_checkpoint_is_noticed_and_the_one_before_used(interrupted, un
         content[len(content) // 2] ^= 1
     newest.write_bytes(content if damage == "flip" else content[: len(content) // 3])
     seen = []
-    train(CONFIG, interrupted, report=lambda search, row: seen.append(row["iteration"]))
+    train(CONFIG, interrupted, report=append_iterations(seen))
     assert seen[0] == 2 and int(before.name.split("-")[1]) == 1
     assert same_run(interrupted, uninterrupted)
 
 
 def test_a_checkpoint_that_cannot_be_read_is_passed_over_and_kept(interrupted, uninterrupted, monkeypatch):
     newest, before = sorted((interrupted / "checkpoint").glob("*.npz"), reverse=True)
-    read_bytes, there = Path.read_bytes, []
+    read_bytes, kept = Path.read_bytes, []
 
     def fails(path):
         if path == newest:
@@ -152,10 +158,10 @@ def test_a_checkpoint_that_cannot_be_read_is_passed_over_and_kept(interrupted, u
     monkeypatch.setattr(Path, "read_bytes", fails)
 
     def look(search, row):
-        there.append((row["iteration"], newest.exists()))
+        kept.append((row["iteration"], newest.exists()))
 
-    train(CONFIG, interrupted, report=look)
-    assert there[0] == (2, True) and int(before.name.split("-")[1]) == 1
+    train(CONFIG, interrupted, report=AfterIteration(look))
+    assert kept[0] == (2, True) and int(before.name.split("-")[1]) == 1
     assert same_run(interrupted, uninterrupted)
 
 
@@ -258,7 +264,7 @@ def test_a_lock_that_was_removed_with_its_folder_locks_nothing(tmp_path, monkeyp
             pass
 
 
-def test_what_killed_processes_left_is_cleared(tmp_path, uninterrupted):
+def test_files_of_killed_processes_are_removed(tmp_path, uninterrupted):
     folder = tmp_path / "run"
     shutil.copytree(uninterrupted, folder)
     (folder / "checkpoint").mkdir()
@@ -278,31 +284,58 @@ def test_what_killed_processes_left_is_cleared(tmp_path, uninterrupted):
 
 def test_other_demonstrations_are_refused(tmp_path):
     search = ppga.begin(CONFIG, None)
-    checkpoint.save(tmp_path, search, Progress(iteration=1), "one")
+    checkpoint.save(tmp_path, search, Position(iteration=1), "one")
     assert checkpoint.load(tmp_path, search, "one") is not None
     with pytest.raises(ConfigError, match="other demonstrations"):
         checkpoint.load(tmp_path, search, "another")
 
 
-def test_what_is_loaded_is_what_was_saved(tmp_path):
+def test_load_restores_what_was_saved(tmp_path):
     """Every leaf, both grids with their thresholds, both generators."""
     config = make_config("walker2d", "true", "smoke", archive_learning_rate=0.3)
     search, _ = ppga.iteration(ppga.begin(config, None))
     returns = archive.returns(search.archives)
     past = history.append(history.empty(), 1, returns, int(search.archives.result.cells))
-    checkpoint.save(tmp_path, search, Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), past, 6.0), None)
-    loaded, progress = checkpoint.load(tmp_path, ppga.begin(config, None), None)
-    assert progress._replace(history=None) == Progress(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), None, 6.0)
+    position = Position(1, 2, 3.5, 4.0, 5.25, ({"a": 0.1},), past, 6.0, ({"commit": "c", "start": "s"},))
+    checkpoint.save(tmp_path, search, position, None)
+    fresh = ppga.begin(config, None)
+    loaded, restored = checkpoint.load(tmp_path, fresh, None)
+    assert restored._replace(history=None) == position._replace(history=None)
     assert len(past.cell) > 0
-    for mine, theirs in zip(past, progress.history, strict=True):
-        np.testing.assert_array_equal(mine, theirs)
-    for mine, theirs in zip(jax.tree.leaves(search.state), jax.tree.leaves(loaded.state), strict=True):
-        assert mine.dtype == theirs.dtype and mine.sharding == theirs.sharding and mine.committed == theirs.committed
-        np.testing.assert_array_equal(checkpoint._to_numpy(mine), checkpoint._to_numpy(theirs))
-    for mine, theirs in zip(search.archives, loaded.archives, strict=True):
-        one, other = archive.content(mine), archive.content(theirs)
+    for saved, read in zip(past, restored.history, strict=True):
+        np.testing.assert_array_equal(saved, read)
+    for saved, read in zip(jax.tree.leaves(search.state), jax.tree.leaves(loaded.state), strict=True):
+        assert saved.dtype == read.dtype and saved.sharding == read.sharding and saved.committed == read.committed
+        np.testing.assert_array_equal(in_numpy(saved), in_numpy(read))
+    for saved, read in zip(search.archives, loaded.archives, strict=True):
+        one, other = archive.content(saved), archive.content(read)
         assert set(one) == set(other) and "threshold" in one and len(one["index"]) > 0
         for name in one:
             np.testing.assert_array_equal(one[name], other[name])
     np.testing.assert_array_equal(search.xnes.ask(), loaded.xnes.ask())
     assert search.rng.integers(1 << 60) == loaded.rng.integers(1 << 60)
+    # ``load`` leaves its argument unchanged.
+    assert len(fresh.archives.result) == 0 and fresh.rng.bit_generator.state != loaded.rng.bit_generator.state
+
+
+def in_numpy(leaf):
+    is_key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, float("nan")])
+def test_a_time_between_checkpoints_below_zero_is_refused(tmp_path, seconds):
+    with pytest.raises(ConfigError, match=f"save_seconds={seconds} must be at least 0."):
+        training.train(CONFIG, tmp_path, save_seconds=seconds)
+    assert not list(tmp_path.iterdir())
+
+
+def test_checkpoints_are_written_as_often_as_asked(tmp_path, monkeypatch):
+    """Every save of a run that asks for one an hour is its last, and with 0 seconds there is one per round."""
+    saved, save = [], checkpoint.save
+    monkeypatch.setattr(checkpoint, "save", lambda *args: saved.append(args[2].iteration) or save(*args))
+    training.train(CONFIG, tmp_path / "hourly", save_seconds=3600.0)
+    assert saved == [4]
+    saved.clear()
+    train(CONFIG, tmp_path / "always")
+    assert saved == [0, 0, 1, 2, 3, 4]

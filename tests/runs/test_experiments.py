@@ -1,10 +1,11 @@
-"""Studies name runs that exist as settings, fold no two together, and are found where training puts them."""
+"""The experiments of studies are configurations that differ, and finished runs are found in their folders."""
 
 import pytest
 
-from qdil.runs.folder import folder_of
-from qdil.config import BUDGETS, ConfigError, make_config
+from qdil.config import BUDGETS, make_config
+from qdil.errors import ConfigError
 from qdil.runs import experiments, studies
+from qdil.runs.folder import folder_of
 
 
 @pytest.mark.parametrize("budget", BUDGETS)
@@ -22,17 +23,17 @@ def test_a_name_leaves_out_what_changes_nothing_and_reads_back():
     assert studies.config_of(name, "walker2d", "laptop", 2) == expected
 
 
-def test_a_plain_method_lies_where_training_puts_it(tmp_path):
-    config = make_config("walker2d", "gail", "smoke", 3)
-    assert experiments.folder_of("gail", "walker2d", "smoke", 3, tmp_path) == folder_of(config, tmp_path)
+def test_a_folder_names_budget_robot_experiment_and_seed(tmp_path):
+    folder = folder_of("gail+bonus_q=1.0", "walker2d", "smoke", 3, tmp_path)
+    assert folder == tmp_path / "smoke" / "walker2d" / "gail+bonus_q=1.0" / "seed-3"
 
 
 def test_only_finished_runs_are_found_in_the_order_of_seeds(tmp_path):
     for seed in (1, 3):
-        folder = experiments.folder_of("gail", "walker2d", "laptop", seed, tmp_path)
+        folder = folder_of("gail", "walker2d", "laptop", seed, tmp_path)
         folder.mkdir(parents=True)
         (folder / "manifest.json").write_text("{}")
-    experiments.folder_of("gail", "walker2d", "laptop", 2, tmp_path).mkdir()
+    folder_of("gail", "walker2d", "laptop", 2, tmp_path).mkdir()
     found = experiments.finished(["gail", "vail"], "walker2d", "laptop", None, tmp_path)
     assert [path.name for path in found["gail"]] == ["seed-1", "seed-3"] and "vail" not in found
 

@@ -10,16 +10,20 @@ import pandas as pd
 import pytest
 
 from qdil import ppga
-from qdil.runs.train import FIRST_COLUMNS, train
-from qdil.runs.folder import read_archive
 from qdil.cli import main
-from qdil.config import Config, ConfigError, from_json, make_config
+from qdil.config import Evaluation, from_json, make_config
+from qdil.errors import ConfigError
 from qdil.files import sha256, write_json
 from qdil.imitation import demos as demonstrations
 from qdil.plotting import LiveArchive
-from qdil.runs.progress import Progress
 from qdil.qd import history
+from qdil.runs.folder import read_archive
+from qdil.runs.progress import Progress
+from qdil.runs.report import AfterIteration
+from qdil.runs.train import FIRST_COLUMNS, train
 from qdil.tools import plan, verify
+
+pytestmark = pytest.mark.physics
 
 FILES = {"config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz", "manifest.json"}
 
@@ -75,10 +79,10 @@ def test_the_expert_is_filled_by_true_returns_and_imitators_by_learned_ones(made
 def test_the_history_of_a_run_ends_in_its_archive(made, method):
     elites = read_archive(made / method)
     with np.load(made / method / "history.npz", allow_pickle=False) as file:
-        told = dict(file)
+        arrays = dict(file)
     cells = int(np.prod(elites["cells"]))
-    past = history.History(told["iteration"], told["index"], told["true_return"], told["fitness"])
-    for name, grid in history.snapshot(past, int(told["iterations"]), cells).items():
+    past = history.History(*(arrays[name] for name in ("iteration", "index", "true_return", "fitness")))
+    for name, grid in history.snapshot(past, int(arrays["iterations"]), cells).items():
         np.testing.assert_array_equal(grid[elites["index"]], elites[name])
         assert np.isfinite(grid).sum() == len(elites["index"])
     rows = np.genfromtxt(made / method / "metrics.csv", delimiter=",", names=True)
@@ -94,18 +98,18 @@ def test_demonstrations_are_whole_episodes_of_the_chosen_elites(made):
     rows = demonstrations.select(elites["true_return"], elites["measures"], 25, 2)
     np.testing.assert_array_equal(demos["elite_index"], elites["index"][rows])
     for episode in range(2):
-        mine = demos["episode"] == episode
-        ended = demos["terminated"][mine] | demos["truncated"][mine]
+        steps = demos["episode"] == episode
+        ended = demos["terminated"][steps] | demos["truncated"][steps]
         assert ended[-1] and not ended[:-1].any()
         # Rows are aligned: the next state of a step is the state of the following one.
-        np.testing.assert_array_equal(demos["next_obs"][mine][:-1], demos["obs"][mine][1:])
-        np.testing.assert_allclose(demos["episode_return"][episode], demos["reward"][mine].sum(), rtol=1e-5)
-        np.testing.assert_allclose(demos["episode_measures"][episode], demos["proxy"][mine].mean(axis=0), rtol=1e-5)
+        np.testing.assert_array_equal(demos["next_obs"][steps][:-1], demos["obs"][steps][1:])
+        np.testing.assert_allclose(demos["episode_return"][episode], demos["reward"][steps].sum(), rtol=1e-5)
+        np.testing.assert_allclose(demos["episode_measures"][episode], demos["proxy"][steps].mean(axis=0), rtol=1e-5)
     assert np.abs(demos["action"]).max() <= 1.0
 
 
-@pytest.mark.parametrize("report", [Progress, LiveArchive, lambda config: lambda search, row: None])
-def test_whatever_watches_a_run_hears_of_it_in_the_way_it_can(report, tmp_path, capsys):
+@pytest.mark.parametrize("report", [Progress, LiveArchive, lambda config: AfterIteration(print)])
+def test_every_report_follows_a_run(report, tmp_path, capsys):
     config = make_config("walker2d", "true", "smoke")
     assert train(config, tmp_path, report=report(config))
     assert ("compiling, then 2 warm-up updates" in capsys.readouterr().out) == (report is Progress)
@@ -154,7 +158,7 @@ def test_settings_of_speed_alone_do_not_make_a_finished_run_another(made, tmp_pa
     arguments = ["--env", "walker2d", "--method", "true", "--budget", "smoke", "--out", copy]
     assert qdil("train", *arguments) == 0
     assert "already finished" in capsys.readouterr().out
-    assert from_json(config).eval_batch_size == Config.eval_batch_size
+    assert from_json(config).evaluation.eval_batch_size == Evaluation.eval_batch_size
     assert qdil("train", *arguments, "--set", "gamma=0.5") == 2
 
 
@@ -175,8 +179,8 @@ def test_more_demonstrations_than_elites_are_refused(made, tmp_path, capsys):
 
 def test_verify_finds_a_run_as_it_was(made, capsys):
     assert qdil("verify", made / "gail") == 0
-    said = capsys.readouterr().out
-    assert "as the manifest says" in said and "elites on new episodes" in said
+    output = capsys.readouterr().out
+    assert "All files match the manifest" in output and "elites on new episodes" in output
     found = verify.verify(made / "true")
     elites = read_archive(made / "true")
     assert found.sampled == min(8, len(elites["index"])) and set(found.returns[:, 0]) <= set(elites["true_return"])
@@ -190,12 +194,12 @@ def test_verify_notices_what_was_changed_or_lost(made, tmp_path, capsys):
     with open(copy / "metrics.csv", "a") as file:
         file.write("\n")
     assert qdil("verify", copy) == 1
-    assert "metrics.csv: not what the manifest says" in capsys.readouterr().out
+    assert "metrics.csv: does not match the manifest" in capsys.readouterr().out
     shutil.copy(made / "true" / "metrics.csv", copy)
     (copy / "policies.npz").unlink()
     assert qdil("verify", copy) == 0
-    said = capsys.readouterr().out
-    assert "policies.npz: missing" in said and "No policies here" in said
+    output = capsys.readouterr().out
+    assert "policies.npz: missing" in output and "No policies here" in output
     (copy / "metrics.csv").unlink()
     assert qdil("verify", copy) == 1
     assert qdil("verify", tmp_path / "nowhere") == 2
@@ -204,8 +208,8 @@ def test_verify_notices_what_was_changed_or_lost(made, tmp_path, capsys):
 def test_a_dry_run_plans_and_trains_nothing(tmp_path, capsys):
     arguments = ["--env", "walker2d", "--method", "mconbo-gail", "--budget", "smoke", "--set", "iterations=7"]
     assert qdil("train", *arguments, "--dry-run", "--out", tmp_path / "run") == 0
-    said = capsys.readouterr().out
-    assert '"iterations": 7' in said and "estimate:" in said
+    output = capsys.readouterr().out
+    assert '"iterations": 7' in output and "estimate:" in output
     config = make_config("walker2d", "mconbo-gail", "smoke", iterations=7)
     planned = plan.plan(config)
     assert planned.reward_rounds == 7 + 2 and planned.speed.reward_seconds > 0
@@ -224,12 +228,15 @@ def test_the_steps_that_are_planned_are_those_that_a_run_makes(made, tmp_path, m
         evaluated.append(candidates.length.sum() * config.evaluation.episodes)
         return candidates
 
+    def append_seen(search, row):
+        seen.append(float(search.state.stats.seen))
+
     monkeypatch.setattr(ppga, "evaluate", counted)
-    train(config, tmp_path, made / "demos.npz", lambda search, row: seen.append(float(search.state.stats.seen)))
+    train(config, tmp_path, made / "demos.npz", AfterIteration(append_seen))
     steps = plan.count(config, learns=method != "true", k=2)
     assert steps.warm_up + steps.training == seen[-1]
-    told = pd.read_csv(tmp_path / "metrics.csv")["env_steps"].iloc[-1]
-    assert told == steps.warm_up + steps.training + sum(evaluated[:3])
+    recorded = pd.read_csv(tmp_path / "metrics.csv")["env_steps"].iloc[-1]
+    assert recorded == steps.warm_up + steps.training + sum(evaluated[:3])
     assert 0 < sum(evaluated[:3]) <= steps.evaluation == 3 * 8 * 2 * 50
     assert 0 < sum(evaluated[3:]) <= steps.rescoring and len(evaluated[3:]) <= 4  # 25 cells, 8 at a time
 
@@ -237,21 +244,17 @@ def test_the_steps_that_are_planned_are_those_that_a_run_makes(made, tmp_path, m
 def test_an_estimate_counts_what_a_reward_learns_before_the_run(monkeypatch):
     """GIRIL's training from demonstrations, no environment step of which is in ``metrics.csv``."""
     config = make_config("walker2d", "mconbo-gail", "smoke", demo_episodes=2)
-    shown, Engine = [], plan.Engine
+    given = []
 
-    def slow_to_begin(config):
-        compiled = Engine(config)
-
-        def init(key, demos):
-            shown.append(demos)
+    class SlowToBegin(plan.Engine):
+        def init(self, key, demos):
+            given.append(demos)
             time.sleep(3.0)
-            return compiled.init(key, demos)
+            return super().init(key, demos)
 
-        return compiled._replace(init=init)
-
-    monkeypatch.setattr(plan, "Engine", slow_to_begin)
+    monkeypatch.setattr(plan, "Engine", SlowToBegin)
     assert plan.plan(config).speed.start_seconds > 3.0
-    assert [len(demos.obs) for demos in shown] == [2 * 50]
+    assert [len(demos.obs) for demos in given] == [2 * 50]
 
 
 def changed(original: Path, copy: Path, **settings: object) -> Path:
@@ -271,16 +274,18 @@ def test_what_more_devices_made_is_verified_on_those_that_are_here(made, tmp_pat
 
 def test_a_run_of_another_version_is_hashed_and_no_more(made, tmp_path, capsys):
     assert qdil("verify", changed(made / "true", tmp_path / "run", wings=2)) == 0
-    said = capsys.readouterr().out
-    assert "All files are as the manifest says" in said and "settings are of another version: wings" in said
+    output = capsys.readouterr().out
+    assert "All files match the manifest" in output and "settings are of another version: wings" in output
 
 
 def test_devices_that_are_not_there_are_refused_before_a_dry_run(capsys, tmp_path):
     arguments = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", "--devices", 64]
     for more in (["--dry-run"], ["--out", tmp_path / "run"]):
         assert qdil(*arguments, *more) == 2
-        said = capsys.readouterr()
-        assert said.out == "" and said.err.startswith("qdil: devices=64 was asked for") and said.err.count("\n") == 1
+        output = capsys.readouterr()
+        assert (
+            output.out == "" and output.err.startswith("qdil: devices=64 was asked for") and output.err.count("\n") == 1
+        )
     assert not (tmp_path / "run").exists()
 
 
@@ -291,13 +296,13 @@ def test_a_damaged_file_of_a_run_is_named(made, tmp_path, capsys):
     arguments += ["--demos", made / "demos.npz", "--set", "demo_episodes=2"]
     (copy / "manifest.json").write_text('{"commit": "a')
     assert (qdil(*arguments), qdil("verify", copy)) == (2, 2)
-    said = capsys.readouterr().err
-    assert said.count("manifest.json is damaged") == said.count("\n") == 2
+    output = capsys.readouterr().err
+    assert output.count("manifest.json is damaged") == output.count("\n") == 2
     shutil.copy(made / "gail" / "manifest.json", copy)
     (copy / "config.json").write_bytes(b"\xff{")
     assert (qdil(*arguments), qdil("verify", copy)) == (2, 1)
-    said = capsys.readouterr()
-    assert "config.json is damaged" in said.err and "config.json: not what the manifest says" in said.out
+    output = capsys.readouterr()
+    assert "config.json is damaged" in output.err and "config.json: does not match the manifest" in output.out
     shutil.copy(made / "gail" / "config.json", copy)
     (copy / "archive.npz").write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(ConfigError, match="archive.npz is damaged"):

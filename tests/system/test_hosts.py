@@ -1,4 +1,4 @@
-"""Two processes that stand for two hosts give the run that one process gives with the same devices."""
+"""Two processes, which stand for two hosts, train the run that one process trains with as many devices."""
 
 import os
 import socket
@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from qdil.cli import main
-from qdil.config import ConfigError
 from qdil.devices import hosts
+from qdil.errors import ConfigError
+
+pytestmark = pytest.mark.physics
 
 TRAIN = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", "--out"]
 
@@ -27,32 +29,32 @@ def host(out: Path, number: int, address: str, *more: str) -> subprocess.Popen:
 
 
 def two_hosts(out: Path, *more: str) -> tuple[list[int], list[str]]:
-    """``qdil train`` on both: their exit codes, and what they said."""
+    """``qdil train`` on both: their exit codes and outputs."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
     pair = [host(out, number, address, *more) for number in range(2)]
     try:
-        said = [process.communicate(timeout=600)[0] for process in pair]
+        outputs = [process.communicate(timeout=600)[0] for process in pair]
     finally:
         for process in pair:
-            process.kill()  # where one has failed, the other would wait for it
-    return [process.returncode for process in pair], said
+            process.kill()  # if one has failed, the other waits for it
+    return [process.returncode for process in pair], outputs
 
 
 def test_two_hosts_make_the_run_of_one(tmp_path):
-    codes, said = two_hosts(tmp_path / "pair")
-    assert codes == [0, 0], said
-    assert "is finished" in said[0] and "finished" not in said[1]
+    codes, outputs = two_hosts(tmp_path / "pair")
+    assert codes == [0, 0], outputs
+    assert "is finished" in outputs[0] and "finished" not in outputs[1]
     assert main([*TRAIN, str(tmp_path / "one"), "--devices", "2"]) == 0
     of_pair, one = (np.load(tmp_path / name / "archive.npz") for name in ("pair", "one"))
     assert of_pair["index"].tolist() == one["index"].tolist()
     np.testing.assert_allclose(of_pair["true_return"], one["true_return"], rtol=1e-3)
     assert '"2 x' in (tmp_path / "pair" / "manifest.json").read_text()
-    # The first looks at the folder for both: neither waits for another that has given up.
-    codes, said = two_hosts(tmp_path / "pair", "--set", "gamma=0.5")
-    assert codes == [2, 2], said
-    assert "with other settings" in said[0] and "the first host cannot go on" in said[1]
+    # Host 0 checks the folder for both, so neither waits for a host that has refused.
+    codes, outputs = two_hosts(tmp_path / "pair", "--set", "gamma=0.5")
+    assert codes == [2, 2], outputs
+    assert "with other settings" in outputs[0] and "host 0 refused" in outputs[1]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Runs that are killed, interrupted or out of disk, in processes of their own: the same bytes in the end."""
+"""Runs that are killed, interrupted or run out of disk, in processes of their own, end with the same bytes."""
 
 import os
 import random
@@ -9,19 +9,21 @@ import time
 from pathlib import Path
 
 import pytest
-from test_checkpoint import same_run
+from fake_runs import same_run
 
 from qdil.cli import main
 from qdil.config import make_config
 from qdil.runs.folder import is_finished
 from qdil.runs.train import train
 
-ROOT = Path(__file__).parent.parent
-ANNOUNCING = Path(__file__).parent / "announcing.py"
+pytestmark = pytest.mark.physics
+
+ROOT = Path(__file__).parents[2]
+ANNOUNCING = ROOT / "tests" / "announcing.py"
 ITERATIONS = 8
 
-# Where a run is killed, in order: at the n-th time that its process announces a step, and up to so many seconds later.
-# Every process goes on where the one before it was killed, so that the last ones only end the run.
+# When a run is killed, in order: after its process has announced a step n times, and at most so many seconds later.
+# Every process resumes where the one before it was killed, so the last ones have little left to do.
 FEW = [("replace", 6, 0.1), ("remove", 1, 0.1)]
 MANY = [
     ("", 0, 3.0), ("", 0, 6.0), ("begin", 1, 0.1), ("begin", 1, 4.0), ("warm_up", 2, 0.1), ("iteration", 3, 0.1),
@@ -78,16 +80,15 @@ WORDS = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", 
 
 
 def qdil_train(folder: Path, first: str = "") -> subprocess.Popen:
-    """``qdil train`` as a process of its own that saves as often as it may; ``first``, a statement, runs before it."""
-    words = [*WORDS, str(folder)]
+    """``qdil train`` in a process of its own that saves often; ``first`` is a statement that runs before it."""
+    words = [*WORDS, str(folder), "--save-seconds", "0"]
     code = f"import resource, signal, sys; from qdil.cli import main\n{first}\nsys.exit(main({words!r}))"
-    environment = {**os.environ, "QDIL_SAVE_SECONDS": "0"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=ROOT, text=True, **pipes)
+    return subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, text=True, **pipes)
 
 
 def wait_for_an_iteration(folder: Path, process: subprocess.Popen) -> None:
-    """Until there is a checkpoint that holds one."""
+    """Wait until a checkpoint holds a QD iteration."""
     while process.poll() is None:
         if any(int(path.name.split("-")[1]) for path in (folder / "checkpoint").glob("[0-9]*.npz")):
             return
@@ -95,27 +96,27 @@ def wait_for_an_iteration(folder: Path, process: subprocess.Popen) -> None:
     raise AssertionError(process.communicate())
 
 
-def test_control_c_leaves_a_folder_to_go_on_from(tmp_path, uninterrupted, capsys):
-    # As in a person's shell, whatever started these tests: what runs in the background ignores this signal.
+def test_control_c_leaves_a_folder_to_resume_from(tmp_path, uninterrupted, capsys):
+    # A process in the background ignores this signal: handle it as in a person's shell.
     process = qdil_train(tmp_path, "signal.signal(signal.SIGINT, signal.default_int_handler)")
     wait_for_an_iteration(tmp_path, process)
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=300)
-    assert process.returncode == 1, said
-    assert said[1] == "qdil: interrupted.\n"
+    output = process.communicate(timeout=300)
+    assert process.returncode == 1, output
+    assert output[1] == "qdil: interrupted.\n"
     assert not is_finished(tmp_path)
     assert main([*WORDS, str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "Going on with the unfinished run" in said and "is finished" in said
+    output = capsys.readouterr().out
+    assert "Resuming the unfinished run" in output and "is finished" in output
     assert same_run(tmp_path, uninterrupted)
 
 
-def test_a_full_disk_is_told_in_a_sentence_and_loses_nothing(tmp_path, uninterrupted):
+def test_a_full_disk_is_reported_in_a_sentence_and_loses_nothing(tmp_path, uninterrupted):
     """A limit on the size of files stands for the disk: small ones still fit, a checkpoint does not."""
     limited = qdil_train(tmp_path, "resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))")
-    said = limited.communicate(timeout=300)
-    assert limited.returncode == 1, said
-    assert said[1].splitlines()[-1].endswith(".npz: File too large.") and "Traceback" not in said[1], said
+    output = limited.communicate(timeout=300)
+    assert limited.returncode == 1, output
+    assert output[1].splitlines()[-1].endswith(".npz: File too large.") and "Traceback" not in output[1], output
     assert [path.name for path in (tmp_path / "checkpoint").iterdir()] == ["lock"]
     assert main([*WORDS, str(tmp_path)]) == 0
     assert same_run(tmp_path, uninterrupted)

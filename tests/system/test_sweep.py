@@ -1,4 +1,4 @@
-"""The Snakemake workflow: what it plans, and a small sweep run for real, killed once on its way."""
+"""The Snakemake workflow: the jobs that it plans, and a small sweep that is killed once and completed."""
 
 import os
 import signal
@@ -13,7 +13,9 @@ from snakemake.cli import get_argument_parser
 
 from qdil.series import index
 
-ROOT = Path(__file__).parent.parent
+pytestmark = pytest.mark.physics  # starts processes
+
+ROOT = Path(__file__).parents[2]
 SNAKEMAKE = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "workflow" / "Snakefile"), "--cores", "2"]
 SNAKEMAKE += ["--nolock", "--rerun-incomplete", "--rerun-triggers", "mtime"]
 
@@ -26,11 +28,11 @@ def config(results: Path, methods: str, **more: str) -> list[str]:
 def planned(results: Path, methods: str, rule: str = "all", **more: str) -> dict[str, int]:
     """How many jobs of each rule a dry run announces."""
     command = [*SNAKEMAKE, "--dry-run", rule, *config(results, methods, **more)]
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert said.returncode == 0, said.stdout + said.stderr
-    if "Nothing to be done" in said.stdout + said.stderr:
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    if "Nothing to be done" in done.stdout + done.stderr:
         return {}
-    table = (said.stdout + said.stderr).split("Job stats:")[-1].splitlines()[3:]
+    table = (done.stdout + done.stderr).split("Job stats:")[-1].splitlines()[3:]
     rows = [line.split() for line in table]
     return {row[0]: int(row[1]) for row in rows[: next(i for i, row in enumerate(rows) if row[:1] == ["total"])]}
 
@@ -74,8 +76,8 @@ def test_studies_and_methods_add_up_and_share_runs(tmp_path):
 
 def test_an_experiment_runs_with_the_settings_in_its_name(tmp_path):
     command = [*SNAKEMAKE, "--dry-run", "--printshellcmds", *config(tmp_path, "mconbo-gail+bonus_p=1.0+bonus_q=0.0")]
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert "train --env walker2d --method mconbo-gail --set bonus_p=1.0 --set bonus_q=0.0" in said.stdout + said.stderr
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert "train --env walker2d --method mconbo-gail --set bonus_p=1.0 --set bonus_q=0.0" in done.stdout + done.stderr
 
 
 NOTEBOOKS = {"notebooks": "01_background,05_mconbo_gail", "source": "notebooks", "executed": "executed", "seed": "1"}
@@ -106,24 +108,24 @@ def test_runs_that_are_there_are_left_alone_by_notebooks(tmp_path):
 
 def test_a_wrong_method_is_refused_in_a_sentence(tmp_path):
     command = [*SNAKEMAKE, "--dry-run", *config(tmp_path, "gial")]
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert said.returncode != 0 and "unknown method 'gial'" in said.stdout + said.stderr
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode != 0 and "unknown method 'gial'" in done.stdout + done.stderr
 
 
 def test_all_notebooks_are_a_target_of_their_own(tmp_path):
-    """With nothing said but the budget: every numbered notebook, and at smoke the runs that they show."""
+    """By default: every numbered notebook, and at smoke the runs that they show."""
     settings = ["--config", "budget=smoke", f"results={tmp_path}", f"scratch={tmp_path}"]
     command = [*SNAKEMAKE, "--dry-run", "--printshellcmds", "notebooks", *settings]
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert said.returncode == 0, said.stdout + said.stderr
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
     for name in index.names_in():
-        assert f"{name}.ipynb --target {tmp_path}/notebooks/smoke/{name}.ipynb" in said.stdout + said.stderr
-    assert "--env walker2d --seed 1 --minutes 30" in said.stdout + said.stderr
-    assert "study --budget smoke --env walker2d main" in said.stdout + said.stderr
+        assert f"{name}.ipynb --target {tmp_path}/notebooks/smoke/{name}.ipynb" in done.stdout + done.stderr
+    assert "--env walker2d --seed 1 --minutes 30" in done.stdout + done.stderr
+    assert "study --budget smoke --env walker2d main" in done.stdout + done.stderr
 
 
 def test_the_example_profile_is_one_that_snakemake_takes():
-    """Its options are those of the command line; how often a job is begun again is left to it."""
+    """Its options are Snakemake's; the Snakefile leaves the number of retries to it."""
     profile = yaml.safe_load((ROOT / "workflow" / "profiles" / "slurm" / "config.yaml").read_text())
     options = {option for action in get_argument_parser()._actions for option in action.option_strings}
     assert {f"--{name}" for name in profile} <= options
@@ -132,7 +134,7 @@ def test_the_example_profile_is_one_that_snakemake_takes():
 
 
 def wait_for(expert: Path, sweep: subprocess.Popen, log: Path) -> dict[int, str]:
-    """Until a sweep's first run has a checkpoint that holds several iterations; the rows of its metrics, by number."""
+    """Wait until a sweep's first run has a checkpoint of at least five iterations; return its metrics by iteration."""
     while sweep.poll() is None:
         done = [int(path.name.split("-")[1]) for path in (expert / "checkpoint").glob("[0-9]*.npz")]
         if max(done, default=0) >= 5:
@@ -142,14 +144,13 @@ def wait_for(expert: Path, sweep: subprocess.Popen, log: Path) -> dict[int, str]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills a process group")
-def test_a_killed_sweep_goes_on_from_its_checkpoint(tmp_path):
-    """The rows that were written before the kill, clock readings and all, are those of the finished run."""
+def test_a_killed_sweep_resumes_from_its_checkpoint(tmp_path):
+    """The finished run keeps the rows, with their times, that were written before the kill."""
     long = "+iterations=60"
-    settings = config(tmp_path, f"true{long},mbo-gail")
-    environment = {**os.environ, "QDIL_SAVE_SECONDS": "0"}
+    settings = config(tmp_path, f"true{long},mbo-gail", save_seconds="0")
     expert, log = tmp_path / "smoke" / "walker2d" / f"true{long}" / "seed-1", tmp_path / "log"
     with open(log, "w") as file:
-        how = {"cwd": ROOT, "env": environment, "stdout": file, "stderr": subprocess.STDOUT}
+        how = {"cwd": ROOT, "stdout": file, "stderr": subprocess.STDOUT}
         command = [*SNAKEMAKE, "--printshellcmds", str(expert / "manifest.json"), *settings]
         sweep = subprocess.Popen(command, start_new_session=True, **how)
         try:
@@ -158,9 +159,9 @@ def test_a_killed_sweep_goes_on_from_its_checkpoint(tmp_path):
             os.killpg(sweep.pid, signal.SIGKILL)
     assert sweep.wait() == -signal.SIGKILL
     assert not (expert / "manifest.json").exists()
-    said = subprocess.run([*SNAKEMAKE, *settings], cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert said.returncode == 0, said.stdout + said.stderr
-    assert f"Going on with the unfinished run in {expert}" in said.stdout + said.stderr
+    done = subprocess.run([*SNAKEMAKE, *settings], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"Resuming the unfinished run in {expert}" in done.stdout + done.stderr
     for method in ("true", f"true{long}", "mbo-gail"):
         assert (tmp_path / "smoke" / "walker2d" / method / "seed-1" / "manifest.json").exists()
     after = {int(line.split(",")[0]): line for line in (expert / "metrics.csv").read_text().splitlines()[1:]}
