@@ -17,7 +17,7 @@ from qdil.errors import ConfigError
 from qdil.finite import is_smaller
 from qdil.robots.batched.batch_last import batch_last
 from qdil.robots.environment import Environment, Outcome, RobotState
-from qdil.robots.register import BACKENDS, Robot
+from qdil.robots.robot import BACKENDS, Robot
 
 DIVERGED = 1e6  # an observation or reward above this size means that the physics is about to become infinite
 # A foot touches the ground up to this contact distance, in metres; 0 for other backends. The positional backend pushes

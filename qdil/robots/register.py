@@ -4,30 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from qdil import plugins
 from qdil.errors import ConfigError
+from qdil.robots.robot import BACKENDS, Robot
 
 if TYPE_CHECKING:
     from qdil.robots.environment import Environment
 
-BACKENDS = ("spring", "positional", "generalized", "mjx")  # Brax's simulators, the default first
 MOST_MEASURES = 6  # a grid has cells^k cells, and each measure costs one more copy that VPPO trains
-
-
-class Robot(NamedTuple):
-    """A robot of Brax and which of its links are feet; or, with ``environment``, a simulated robot of a user's own."""
-
-    name: str
-    brax_env: str | None  # its name among Brax's environments
-    feet: tuple[str, ...]  # links, or collision shapes of links, whose ground contacts are the k measures
-    environment: Environment | None = None  # instead of ``brax_env`` and ``feet``
-
-    @property
-    def measure_names(self) -> tuple[str, ...]:
-        """(k,) one name per measure."""
-        return self.feet if self.environment is None else tuple(self.environment.measure_names)
 
 
 BUILT_IN = (
