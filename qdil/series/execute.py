@@ -1,4 +1,4 @@
-"""One notebook, executed headlessly with papermill into a copy with its outputs; a process of its own, see ``main``."""
+"""Execution of one notebook with papermill, into a copy with its outputs. ``main`` does it in a process of its own."""
 
 import argparse
 import json
@@ -17,32 +17,32 @@ from qdil.config import ConfigError
 from qdil.files import replace_file, write_json
 
 ROOT = Path(__file__).parent.parent.parent
-KERNEL = "python3"  # ipykernel's own, which Jupyter starts with the interpreter that runs this
-QUIET = ["--IPKernelApp.log_level=50"]  # the kernel's remarks about its own transport and shutdown help nobody here
+KERNEL = "python3"  # ipykernel's own name; Jupyter starts it with the interpreter that runs this process
+QUIET = ["--IPKernelApp.log_level=50"]  # no log lines of the kernel about its transport and shutdown
 LARGEST = 2_000_000  # bytes of an executed copy
-PARAMETERS = ("budget", "env", "seed")  # what every notebook is given
+PARAMETERS = ("budget", "env", "seed")  # of every notebook
 
 
 def check_parameters(source: Path) -> None:
-    """Raise ConfigError if a notebook's parameters cell lacks one of ``PARAMETERS``, perhaps misspelt.
+    """Raise ConfigError if a notebook's parameters cell lacks one of ``PARAMETERS``, perhaps because it is misspelt.
 
-    papermill would execute it with the notebook's own defaults, and succeed.
+    papermill would ignore the parameter, execute the notebook with its own default, and succeed.
     """
-    has = papermill.inspect_notebook(source)
-    missing = [name for name in PARAMETERS if name not in has]
+    found = papermill.inspect_notebook(source)
+    missing = [name for name in PARAMETERS if name not in found]
     if missing:
         raise ConfigError(
             f"{source.stem}: no cell tagged 'parameters' sets {', '.join(missing)} "
-            f"(it sets {', '.join(has) or 'nothing'}), so that nothing was executed."
+            f"(it sets {', '.join(found) or 'nothing'}), so that nothing was executed."
         )
 
 
 def execute(source: Path, target: Path, draft: Path, parameters: Mapping[str, Any], limit: float) -> str | None:
-    """Execute one notebook within ``limit`` seconds; what went wrong, as "NAME, cell N: ErrorName: message", or None.
+    """Execute one notebook within ``limit`` seconds; returns its failure, "NAME, cell N: ErrorName: message", or None.
 
-    N is the number in the executed copy's ``In [N]``. Output on standard error and a copy above ``LARGEST`` count as
-    going wrong, too. The copy grows at ``draft``, cell by cell, and moves to ``target`` at the end, also where a cell
-    failed.
+    N is the number in the executed copy's ``In [N]``. Output on standard error and a copy larger than ``LARGEST`` are
+    failures, too. papermill writes the copy to ``draft``, cell by cell; at the end it moves to ``target``, also after a
+    failure.
     """
     end = time.monotonic() + limit
     name, seconds_left = source.stem, lambda cell: max(end - time.monotonic(), 0.001)
@@ -55,9 +55,9 @@ def execute(source: Path, target: Path, draft: Path, parameters: Mapping[str, An
             progress_bar=False,
             cwd=source.parent,
             extra_arguments=QUIET,
-            timeout_func=seconds_left,  # asked before each cell: a limit for the whole notebook
+            timeout_func=seconds_left,  # called before each cell, so the limit is for the whole notebook
         )
-        return _complaint(draft)
+        return _noise_or_bulk(draft)
     except PapermillExecutionError as error:
         return f"{name}, cell {error.exec_count}: {error.ename}: {_first_line(error.evalue)}"
     except TimeoutError:
@@ -70,7 +70,7 @@ def execute(source: Path, target: Path, draft: Path, parameters: Mapping[str, An
 
 
 def progress(draft: Path) -> tuple[int, int] | None:
-    """Code cells done and code cells in all of a notebook that grows at ``draft``; None while it cannot be read."""
+    """How many code cells of the notebook at ``draft`` are done, and how many there are; None if it cannot be read."""
     try:
         cells = [cell for cell in json.loads(draft.read_text())["cells"] if cell["cell_type"] == "code"]
     except (OSError, ValueError):
@@ -79,13 +79,13 @@ def progress(draft: Path) -> tuple[int, int] | None:
 
 
 def reached(draft: Path) -> int:
-    """The number of the last cell that was begun; 0 if none was."""
+    """The number of the last code cell that was started; 0 if there is none."""
     cells = nbformat.read(draft, as_version=4).cells if draft.is_file() else []
     return sum(cell.cell_type == "code" and bool(cell.metadata.papermill.get("start_time")) for cell in cells)
 
 
-def _complaint(draft: Path) -> str | None:
-    """What a reader should not find in an executed notebook: warnings on standard error, megabytes of output."""
+def _noise_or_bulk(draft: Path) -> str | None:
+    """The failure of a notebook without an error: output on standard error, or more than ``LARGEST`` bytes."""
     for cell in nbformat.read(draft, as_version=4).cells:
         for output in cell.get("outputs", []):
             if output.get("name") == "stderr":
@@ -95,14 +95,14 @@ def _complaint(draft: Path) -> str | None:
 
 
 def _keep(draft: Path, source: Path, target: Path) -> None:
-    """Move an executed draft to its place, with paths in its metadata that mean something on any machine."""
+    """Move an executed draft to ``target``, with paths in its metadata that are valid on any machine."""
     notebook = nbformat.read(draft, as_version=4)
-    notebook.metadata.papermill.update(input_path=_shown(source), output_path=_shown(target))
+    notebook.metadata.papermill.update(input_path=_portable(source), output_path=_portable(target))
     replace_file(target, lambda file: file.write(nbformat.writes(notebook).encode() + b"\n") and None)
 
 
-def _shown(path: Path) -> str:
-    """A path from the repository's root, with forward slashes; elsewhere its name alone."""
+def _portable(path: Path) -> str:
+    """A path relative to the repository's root, with forward slashes; of a path outside it, the name alone."""
     return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
 
 
@@ -112,7 +112,7 @@ def _first_line(text: str) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Execute one notebook for the workflow; its draft and a report, ``NAME.json``, go to ``--scratch``."""
+    """Execute one notebook for the workflow. Its draft and a report, ``NAME.json``, are written to ``--scratch``."""
     parser = argparse.ArgumentParser(prog="python -m qdil.series.execute", description=main.__doc__)
     parser.add_argument("source", type=Path)
     for option in ("--target", "--scratch"):
@@ -122,7 +122,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--minutes", type=float, required=True, help="limit for the whole notebook")
     args = parser.parse_args(argv)
-    os.environ["QDIL_EXPLORER"] = "page"  # no widget survives in a copy, also where this is started inside Jupyter
+    os.environ["QDIL_EXPLORER"] = "page"  # an executed copy has no kernel, so no widgets
     source, begin = args.source.resolve(), time.monotonic()
     draft = args.scratch / source.name
     parameters = {name: getattr(args, name) for name in PARAMETERS}

@@ -1,4 +1,4 @@
-"""The series as ``notebooks/index.toml`` lists it: its notebooks, what each needs and claims, and the table of them."""
+"""The series of notebooks as ``notebooks/index.toml`` lists it, and its table of contents."""
 
 import tomllib
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ from qdil.runs.studies import experiments_of
 
 ROOT = Path(__file__).parent.parent.parent
 NOTEBOOKS = ROOT / "notebooks"
-# What the paper numbers, and what a notebook therefore can claim to show.
+# The paper's numbered items. Each notebook lists those that it shows.
 CLAIMABLE = (
     *(f"Algorithm {n}" for n in (1, 2, 3)),
     *(f"Fig. {n}" for n in range(1, 17)),
@@ -28,10 +28,10 @@ class Entry(NamedTuple):
     name: str  # of the file, without its suffix
     title: str
     about: str  # one line
-    studies: tuple[str, ...]  # whose runs it shows
-    claims: tuple[str, ...]  # of CLAIMABLE
+    studies: tuple[str, ...]  # the studies whose runs it shows
+    claims: tuple[str, ...]  # the items of CLAIMABLE that it shows
     part: str  # of the series: what it teaches, or which results it shows
-    minutes: dict[str, float]  # by budget, on two CPU cores, without training; what was not measured is missing
+    minutes: dict[str, float]  # by budget, on two CPU cores, without training; only measured budgets
 
 
 def read(path: Path = NOTEBOOKS / "index.toml") -> tuple[Entry, ...]:
@@ -52,7 +52,7 @@ def read(path: Path = NOTEBOOKS / "index.toml") -> tuple[Entry, ...]:
 
 
 def experiments_for(names: Iterable[str], budget: str) -> tuple[str, ...]:
-    """The experiments whose runs some notebooks show at a budget, each once; none for a notebook not in the index."""
+    """The experiments whose runs some notebooks show at a budget, each once. A notebook not in the index has none."""
     wanted = set(names)
     return experiments_of(studies_for(wanted), budget)
 
@@ -69,12 +69,12 @@ def names_in(folder: Path = NOTEBOOKS) -> list[str]:
 
 
 def chosen(names: Iterable[str], folder: Path = NOTEBOOKS) -> list[str]:
-    """``names``, each once; all of the folder's notebooks if there are none. Raises ConfigError for one not there."""
+    """``names``, each once; without names, all notebooks of the folder. Raises ConfigError for an unknown name."""
     known = names_in(folder)
     for name in (names := list(dict.fromkeys(names))):
         if name not in known:
             raise ConfigError(
-                f"there is no notebook '{name}'; choose from {', '.join(known) or 'none: there are none'}."
+                f"there is no notebook '{name}'; choose from {', '.join(known) or 'none: the folder is empty'}."
             )
     return names or known
 

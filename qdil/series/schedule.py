@@ -1,6 +1,5 @@
-"""Executing the series: everything checked first, then scheduled by Snakemake, watched from here and reported."""
+"""Execution of the series: checks everything first, lets Snakemake schedule the notebooks, and reports on them."""
 
-import json
 import subprocess
 import sys
 import tempfile
@@ -14,6 +13,7 @@ from tqdm import tqdm
 
 from qdil.config import ConfigError, make_config
 from qdil.extras import needs
+from qdil.files import read_json
 from qdil.series import index
 from qdil.series.index import NOTEBOOKS, ROOT
 
@@ -21,28 +21,28 @@ EXECUTED = ROOT / "results" / "notebooks"
 SNAKEFILE = ROOT / "workflow" / "Snakefile"
 SECONDS_BETWEEN_LOOKS = 0.5
 SECONDS_BETWEEN_LINES = 30.0
-LOG_LINES = 15  # of Snakemake's log, shown where it failed before any notebook did
+LOG_LINES = 15  # of Snakemake's log, shown if it failed before any notebook did
 
 
 class Order(NamedTuple):
     """Which notebooks to execute, and how."""
 
-    names: Sequence[str] = ()  # none: all of them
+    names: Sequence[str] = ()  # empty: all of them
     budget: str = "smoke"
     env: str = "walker2d"
     seed: int = 1
     at_once: int = 2
-    train: bool = False  # beyond smoke, too, train the runs that are missing
+    train: bool = False  # train missing runs at laptop and full, too; at smoke they always are
     minutes: float = 30.0  # limit for each notebook
     notebooks: Path = NOTEBOOKS
-    executed: Path = EXECUTED  # copies go to its folder <budget>
+    executed: Path = EXECUTED  # executed copies go to its subfolder <budget>
 
 
 def execute_all(order: Order) -> list[str]:
-    """Execute notebooks as ordered; returns one sentence for each that failed, while the others went on.
+    """Execute notebooks as ordered; returns one sentence for each that failed. The others are executed all the same.
 
-    Raises ConfigError before anything runs for an unknown name, robot, budget or seed, a limit that is none, and a
-    notebook that does not take the parameters that it will be given.
+    Raises ConfigError before anything runs for an unknown name, robot, budget or seed, for a number below its least
+    value, and for a notebook without the parameters that it will be given.
     """
     with needs("notebooks", "the execution of notebooks"):
         version("snakemake")  # a process of its own; importing it here would take a second
@@ -66,7 +66,7 @@ def execute_all(order: Order) -> list[str]:
 
 
 def _command(order: Order, names: Iterable[str], scratch: Path) -> list[str]:
-    """Snakemake on the workflow's rule ``notebooks``."""
+    """The command that makes Snakemake apply the workflow's rule ``notebooks``."""
     settings = {
         "budget": order.budget,
         "envs": order.env,
@@ -85,72 +85,55 @@ def _command(order: Order, names: Iterable[str], scratch: Path) -> list[str]:
 
 
 def _watch(workflow: subprocess.Popen, names: Sequence[str], scratch: Path) -> None:
-    """Until the workflow ends: a bar for each notebook on a terminal, plain lines now and then elsewhere."""
-    show = {name: (_Bar if sys.stderr.isatty() else _Lines)(name) for name in names}
+    """Wait for the workflow to end: a line for each notebook that ends, and their progress, see ``_Progress``."""
+    progress, running = _Progress(len(names)), list(names)
     while True:
-        ended = workflow.poll() is not None
-        for name in [name for name in names if name in show]:
+        ended = workflow.poll() is not None  # asked before the reports are read, so that the last of them is seen
+        for name in tuple(running):
             report = scratch / f"{name}.json"
             if report.is_file():
-                show.pop(name).end(**json.loads(report.read_text()))
-            elif (draft := scratch / f"{name}.ipynb").is_file():
-                show[name].look(draft)
+                running.remove(name)
+                progress.end(name, **read_json(report))
+        progress.update(running, scratch)
         if ended:
+            progress.bar.close()
             return
         time.sleep(SECONDS_BETWEEN_LOOKS)
 
 
-class _Lines:
-    """A notebook's progress as lines of a log."""
+class _Progress:
+    """A bar over the notebooks on a terminal; elsewhere a line now and then."""
 
-    def __init__(self, name: str) -> None:
-        self.name, self.last = name, 0.0
+    def __init__(self, count: int) -> None:
+        self.bar = tqdm(total=count, unit="notebook", disable=not sys.stderr.isatty())
+        self.last_line = time.monotonic()
 
-    def look(self, draft: Path) -> None:
+    def update(self, running: Iterable[str], scratch: Path) -> None:
+        """Show how many cells of the ``running`` notebooks are done."""
         from qdil.series.execute import progress
 
-        self.last = self.last or time.monotonic()
-        if time.monotonic() - self.last > SECONDS_BETWEEN_LINES and (cells := progress(draft)):
-            self.last = time.monotonic()
-            print(f"{self.name}: {cells[0]} of {cells[1]} cells", flush=True)
+        cells = {name: progress(scratch / f"{name}.ipynb") for name in running}
+        shown = ", ".join(f"{name} {of[0]} of {of[1]} cells" for name, of in cells.items() if of)
+        self.bar.set_postfix_str(shown)
+        if self.bar.disable and shown and time.monotonic() - self.last_line > SECONDS_BETWEEN_LINES:
+            self.last_line = time.monotonic()
+            print(shown, flush=True)
 
-    def end(self, seconds: float, failure: str | None) -> None:
-        print(f"{self.name}: {'failed' if failure else 'done'} after {seconds:.0f} s", flush=True)
-
-
-class _Bar:
-    """A notebook's progress as a bar."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.bar: tqdm | None = None
-
-    def look(self, draft: Path) -> None:
-        from qdil.series.execute import progress
-
-        if cells := progress(draft):
-            bar = self._bar(cells[1])
-            bar.update(cells[0] - bar.n)
-
-    def end(self, seconds: float, failure: str | None) -> None:
-        bar = self._bar(1)
-        bar.set_postfix_str("failed" if failure else "done")
-        bar.update(0 if failure else bar.total - bar.n)
-        bar.close()
-
-    def _bar(self, cells: int) -> tqdm:
-        self.bar = self.bar if self.bar is not None else tqdm(total=cells, desc=self.name, unit="cell")
-        return self.bar
+    def end(self, name: str, seconds: float, failure: str | None) -> None:
+        """Print that a notebook has ended."""
+        self.bar.write(f"{name}: {'failed' if failure else 'done'} after {seconds:.0f} s")
+        self.bar.update()
+        sys.stdout.flush()
 
 
 def _failures(names: Sequence[str], scratch: Path, code: int) -> list[str]:
-    """A sentence for each notebook that failed or was not reached, and for a workflow that failed otherwise."""
+    """A sentence for each notebook that failed or was not executed, and the end of the log for other failures."""
     reports = {name: scratch / f"{name}.json" for name in names}
-    told = {name: json.loads(path.read_text())["failure"] for name, path in reports.items() if path.is_file()}
-    failures = [failure for failure in told.values() if failure]
-    missed = [name for name in names if name not in told]
+    results = {name: read_json(path)["failure"] for name, path in reports.items() if path.is_file()}
+    failures = [failure for failure in results.values() if failure]
+    missed = [name for name in names if name not in results]
     if missed:
-        failures.append(f"not executed, because what they need failed: {', '.join(missed)}")
+        failures.append(f"not executed, because a run that they show could not be trained: {', '.join(missed)}")
     if code and (missed or not failures):
         failures.append("\n".join((scratch / "log").read_text().splitlines()[-LOG_LINES:]))
     return failures
