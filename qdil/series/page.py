@@ -1,17 +1,21 @@
-"""What every notebook opens with: where it runs, what its numbers are made of, and the runs that it shows."""
+"""The page of a notebook: its banner, the runs that it shows, its figures, and the source of functions."""
 
+import inspect
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Sized
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
+import pandas as pd
 from matplotlib.figure import Figure
 
 from qdil import plotting
 from qdil.config import make_config
 from qdil.devices.start import use_all_cores
+from qdil.evidence import claims
 from qdil.extras import needs
-from qdil.robots.register import robot_names
+from qdil.robots.register import PAPER_ROBOTS, robot_names
 from qdil.runs import experiments, manifest, studies
 from qdil.runs.folder import RESULTS, demos_path
 from qdil.runs.missing import train_missing
@@ -20,99 +24,125 @@ with needs("notebooks", "what a notebook shows"):
     from IPython.display import Markdown, display
 
 ROOT = Path(__file__).parent.parent.parent
-OPENED = {"budget": "smoke", "env": "walker2d"}  # by ``begin``; a notebook is a process of its own, and one page
-SAYS = {
-    "smoke": "a test that every line runs; nothing has been learned, so read no result out of these pictures",
+BUDGET_NOTES = {  # about each budget, in the banner and on the site
+    "smoke": "a test that every line runs; nothing has been learned, so draw no conclusion from these pictures",
     "laptop": "a small version of the experiment; the curves are real, the scale is not the paper's",
     "full": "the paper's own scale",
 }
 
+Runs = dict[str, list[Path]]  # folders of finished runs, by experiment
 
-def begin(budget: str, env: str, seed: int, note: str | None = None) -> Markdown:
-    """Work in the repository's root, wherever the notebook was started; the banner with budget, device and commit.
 
-    ``note`` (Markdown) says which part of a notebook holds runs of another budget than the banner's, where one does.
-    Raises ConfigError for a budget, robot or seed that does not exist.
+class Page(NamedTuple):
+    """An open notebook: what its cell of parameters chose. ``open_page`` makes it."""
+
+    budget: str
+    env: str  # the robot
+    seed: int
+
+    def runs(self, study: str | Sequence[str], train: bool = False, seeds: Sequence[int] | None = None) -> Runs:
+        """The finished runs of a study (or of experiments), by experiment, and a line about which there are.
+
+        Missing runs are trained first at ``smoke``, and with ``train``, which also draws each archive as it fills.
+        ``seeds`` None: the budget's.
+        """
+        wanted = studies.experiments_of([study], self.budget) if isinstance(study, str) else tuple(study)
+        if train:
+            train_missing(wanted, self.env, self.budget, seeds, report=plotting.LiveArchive)
+        elif self.budget == "smoke":
+            train_missing(wanted, self.env, self.budget, seeds)
+        found = experiments.finished(wanted, self.env, self.budget, seeds)
+        listed = [f"`{name}` ({', '.join(path.name.replace('-', ' ') for path in of)})" for name, of in found.items()]
+        lines = [f"Loaded from `results/{self.budget}/{self.env}`: {'; '.join(listed) or 'nothing'}."]
+        if missing := [f"`{name}`" for name in wanted if name not in found]:
+            lines.append(f"**Not trained yet**, so not shown: {', '.join(missing)}.")
+        display(Markdown("\n\n".join(lines)))
+        return found
+
+    def robots(self, names: Sequence[str]) -> Iterator[tuple[str, Runs]]:
+        """Each robot with finished runs of some experiments, and those runs. Trains nothing.
+
+        A heading with the robot's name and its missing experiments is displayed before each of them, and a line with
+        the robots that have no such run at the end.
+        """
+        without = []
+        for env in robot_names():
+            found = experiments.finished(names, env, self.budget)
+            missing = ", ".join(f"`{name}`" for name in names if name not in found)
+            if found:
+                display(Markdown(f"**{env}**" + (f": not trained yet, so not shown: {missing}." if missing else "")))
+                yield env, found
+            else:
+                without.append(env)
+        if without:
+            display(Markdown(f"No finished runs at this budget: {', '.join(without)}."))
+
+    def demonstrations(self) -> Path | None:
+        """The file of the robot's demonstrations at this budget; None, and a line about how to get them, without one.
+
+        Cells that ask reward models about demonstrated steps are left out where it is None.
+        """
+        path = demos_path(self.budget, self.env, make_config(self.env, "true", self.budget).demos.demo_episodes)
+        if path.is_file():
+            return path
+        where = f"--env {self.env} --budget {self.budget}"
+        display(
+            Markdown(
+                f"**No demonstrations yet**: there is no `{path.as_posix()}`, so the cells below that need "
+                f"demonstrated steps are left out. `qdil train --method true {where}` trains the expert, and "
+                f"`qdil demos {where}` records its demonstrations."
+            )
+        )
+        return None
+
+    def show(self, figure: Figure | str | Sized | None, name: str | None = None, env: str | None = None) -> None:
+        """Display a figure. One with a name is also written as PNG and PDF: ``results/figures/laptop-walker2d-NAME``.
+
+        ``env`` is the robot in the figure, if it is not the page's own. A text is displayed instead of a figure that
+        cannot be drawn; for None or anything empty, that text is "No run is finished yet.".
+        """
+        if isinstance(figure, Figure):
+            display(figure)
+            if name is not None:
+                path = figures_folder(self.budget) / f"{self.budget}-{env or self.env}-{name}"
+                plotting.save(figure, path)
+        else:
+            display(Markdown(figure if isinstance(figure, str) and figure else "No run is finished yet."))
+
+    def verdicts(self, *claim_ids: str) -> None:
+        """Display the verdicts on some claims, judged on the page's robot from the runs of the page's budget."""
+        if self.env not in PAPER_ROBOTS:
+            self.show(f"The claims are about {', '.join(PAPER_ROBOTS)}, so there is no verdict on {self.env}.")
+            return
+        judged = claims.judge(budget=self.budget, envs=[self.env])
+        with pd.option_context("display.max_colwidth", None):
+            display(claims.table([verdict for verdict in judged if verdict.claim.id in claim_ids], all_rows=True))
+
+    def source(self, function: Callable[..., Any]) -> None:
+        """Display the source of a function or class of the library."""
+        function = inspect.unwrap(function)
+        name = f"{function.__module__}.{function.__qualname__}"
+        display(Markdown(f"The source of `{name}`:\n\n```python\n{inspect.getsource(function).strip()}\n```"))
+
+
+def open_page(budget: str, env: str, seed: int, note: str | None = None) -> Page:
+    """Open a notebook's page and display its banner: budget, robot, seed, device and commit.
+
+    Changes the working directory to the repository's root, so that ``results/…`` is the same folder wherever the
+    notebook was started. ``note`` (Markdown) is a further line of the banner. Raises ConfigError for a budget, robot or
+    seed that does not exist.
     """
     make_config(env, "true", budget, seed)
     use_all_cores()
     os.chdir(ROOT)
-    OPENED.update(budget=budget, env=env)
     device = f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
     facts = {"budget": budget, "robot": env, "seed": seed, "device": device, "commit": manifest.commit()}
     banner = " · ".join(f"**{name}** {value}" for name, value in facts.items())
-    lines = [banner, f"The *{budget}* budget is {SAYS[budget]}.", *([note] if note else [])]
-    return Markdown("\n>\n".join(f"> {line}" for line in lines))
-
-
-def runs(
-    study: str | Sequence[str], env: str, budget: str, train: bool = False, seeds: Sequence[int] | None = None
-) -> dict[str, list[Path]]:
-    """Folders of the finished runs, by experiment, of a study (or of experiments); shows which are there.
-
-    At ``smoke``, or with ``train``, those that are missing are trained first. ``seeds`` None: the budget's.
-    """
-    wanted = studies.experiments_of([study], budget) if isinstance(study, str) else tuple(study)
-    if train or budget == "smoke":
-        train_missing(wanted, env, budget, seeds)
-    there = experiments.finished(wanted, env, budget, seeds)
-    listed = [f"`{name}` ({', '.join(path.name.replace('-', ' ') for path in paths)})" for name, paths in there.items()]
-    missing = [f"`{name}`" for name in wanted if name not in there]
-    lines = [f"Loaded from `results/{budget}/{env}`: {'; '.join(listed) or 'nothing'}."]
-    if missing:
-        lines.append(f"**Not trained yet**, so not shown: {', '.join(missing)}.")
-    display(Markdown("\n\n".join(lines)))
-    return there
-
-
-def robots(names: Sequence[str], budget: str) -> Iterator[tuple[str, dict[str, list[Path]]]]:
-    """Robots with finished runs of some experiments, and those runs; each in turn gets a heading with what is missing.
-
-    Nothing is trained. The heading stands over whatever is displayed before the next robot is asked for.
-    """
-    for env in robot_names():
-        there = experiments.finished(names, env, budget)
-        missing = ", ".join(f"`{name}`" for name in names if name not in there)
-        said = f": not trained yet, so not shown: {missing}." if there and missing else ""
-        display(Markdown(f"**{env}**{said}" if there else f"**{env}**: no finished runs at this budget."))
-        if there:
-            yield env, there
-
-
-def demonstrations(env: str, budget: str) -> Path | None:
-    """The file of a robot's demonstrations, as many as the budget's methods learn from; None, and why, without one.
-
-    For the parts of a notebook that ask reward models about demonstrated steps: they are left out where it is None.
-    """
-    path = demos_path(budget, env, make_config(env, "true", budget).demos.demo_episodes)
-    if path.is_file():
-        return path
-    of = f"--env {env} --budget {budget}"
-    display(
-        Markdown(
-            f"**No demonstrations yet**: there is no `{path.as_posix()}`, so what needs demonstrated steps is left out "
-            f"below. `qdil train --method true {of}` trains the expert, and `qdil demos {of}` records it."
-        )
-    )
-    return None
-
-
-def show(figure: Figure | str | None, name: str | None, env: str | None = None) -> None:
-    """Display a figure and write it as PNG and PDF, called after the page's budget and robot: ``laptop-walker2d-NAME``.
-
-    ``env`` is the robot that it shows where that is not the page's own. A figure without a name is not written, for
-    where what it is about has no run yet; nor is a text, for where there is nothing to draw. None is nothing at all.
-    At ``smoke`` files go to a folder that git ignores.
-    """
-    if isinstance(figure, Figure):
-        display(figure)
-        if name is None:
-            return
-        plotting.save(figure, figures_folder(OPENED["budget"]) / f"{OPENED['budget']}-{env or OPENED['env']}-{name}")
-    elif figure is not None:
-        display(Markdown(figure))
+    lines = [banner, f"The *{budget}* budget is {BUDGET_NOTES[budget]}.", *([note] if note else [])]
+    display(Markdown("\n>\n".join(f"> {line}" for line in lines)))
+    return Page(budget, env, seed)
 
 
 def figures_folder(budget: str, root: Path = RESULTS) -> Path:
-    """Where a budget's figures go: those of ``smoke`` apart, since they show nothing that was learned."""
+    """The folder of a budget's figures; git ignores that of ``smoke``, since nothing has been learned there."""
     return root / budget / "figures" if budget == "smoke" else root / "figures"

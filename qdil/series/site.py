@@ -143,12 +143,12 @@ def _prepare(notebook: nbformat.NotebookNode, path: Path, pages: Pages) -> None:
 
 def _front(budget: str, entries: list[Entry], docs: Iterable[Path]) -> str:
     """The front page: what this is, the notebooks, and which of them were not executed at this budget."""
-    from qdil.series.page import SAYS  # imports JAX
+    from qdil.series.page import BUDGET_NOTES  # imports JAX
 
     missing = [entry.title for entry in index.read() if entry not in entries]
     template = (SETTINGS / "index.md").read_text()
     return template.format(
-        executed=f"They were executed at the *{budget}* budget: {SAYS[budget]}.",
+        executed=f"They were executed at the *{budget}* budget: {BUDGET_NOTES[budget]}.",
         contents="\n".join(_line(entry) for entry in entries),
         missing=f"Not executed at this budget, so not shown: {', '.join(missing)}." if missing else "",
         notebooks="\n".join(f"notebooks/{entry.name}" for entry in entries),
