@@ -100,3 +100,12 @@ def test_the_banner_names_budget_robot_and_seed(opened, shown):
     opened("laptop", "hopper")
     (banner,) = shown
     assert "**budget** laptop" in banner and "**robot** hopper" in banner and "**seed** 1" in banner
+
+
+def test_verdicts_are_of_the_claims_asked_for_and_of_the_papers_robots_alone(opened, monkeypatch):
+    displayed = []
+    monkeypatch.setattr(page, "display", displayed.append)
+    opened("laptop")[0].verdicts("C1", "C3")
+    assert set(displayed[-1]["id"]) == {"C1", "C3"} and set(displayed[-1]["robot"]) == {"walker2d"}
+    opened("laptop", "hopper")[0].verdicts("C1")
+    assert "no verdict on hopper" in displayed[-1].data
