@@ -17,6 +17,7 @@ from qdil.imitation.reward_model import InputModel
 from qdil.methods import bases, register
 from qdil.qd import archive
 from qdil.robots import register as robots
+from qdil.runs.report import AfterIteration
 from qdil.runs.train import train
 
 # Values that keep to the rules between settings, or that differ enough to be noticed in a short run.
@@ -83,7 +84,7 @@ def outcome_of(demos_file, tmp_path_factory):
     def outcome(config):
         folder, last = tmp_path_factory.mktemp("run"), []
         try:
-            train(config, folder, demos_file, lambda search, row: last.append((search, row)))
+            train(config, folder, demos_file, AfterIteration(lambda search, row: last.append((search, row))))
         except ConfigError as refusal:
             return str(refusal)
         rows = [{name: value for name, value in row.items() if name != "wall_seconds"} for _, row in last]
