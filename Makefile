@@ -7,16 +7,19 @@ RUN := $(VENV)/bin/python
 SWEEP ?=
 SITE ?=
 
-.PHONY: reproduce test test-fast test-slow lint sweep site contents pictures frontend lock clean
+.PHONY: reproduce test test-fast test-system test-slow lint sweep site contents pictures frontend lock clean
 
 reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke, laptop or full)
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
 
-test: $(VENV)/.installed lint  ## lint, type check and every test
+test: $(VENV)/.installed lint  ## lint, types and tests (a browser, kills and sweeps: test-system)
 	$(RUN) -m pytest
 
-test-fast: $(VENV)/.installed  ## the tests that need neither Brax nor another process: under a minute
-	$(RUN) -m pytest -m "not slow and not physics"
+test-fast: $(VENV)/.installed  ## the tests that need neither Brax nor another process, nor compile much: under a minute
+	$(RUN) -m pytest -m "not slow and not system and not physics and not compiles"
+
+test-system: $(VENV)/.installed  ## browsers, several hosts, sweeps, kills, the README's commands: a quarter of an hour
+	$(RUN) -m pytest -m "system and not slow"
 
 test-slow: $(VENV)/.installed  ## whole runs on all robots, a dozen kills, the bench: many minutes
 	$(RUN) -m pytest -m slow

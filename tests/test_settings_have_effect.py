@@ -20,6 +20,8 @@ from qdil.robots import register as robots
 from qdil.runs.report import AfterIteration
 from qdil.runs.train import train
 
+pytestmark = pytest.mark.compiles
+
 # Values that keep to the rules between settings, or that differ enough to be noticed in a short run.
 OTHERS = {
     "num_envs": 30,
