@@ -3,6 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BUDGET ?= smoke
 VENV := .venv
 RUN := $(VENV)/bin/python
+TWO := -n 2 --dist loadfile  # tests in two processes, a file in one of them
 
 SWEEP ?=
 SITE ?=
@@ -13,10 +14,10 @@ reproduce: $(VENV)/.installed  ## execute the notebooks headlessly (BUDGET=smoke
 	$(RUN) -m qdil notebooks --budget $(BUDGET)
 
 test: $(VENV)/.installed lint  ## lint, types and tests (a browser, kills and sweeps: test-system)
-	$(RUN) -m pytest
+	$(RUN) -m pytest $(TWO)
 
 test-fast: $(VENV)/.installed  ## the tests that need neither Brax nor another process, nor compile much: under a minute
-	$(RUN) -m pytest -m "not slow and not system and not physics and not compiles"
+	$(RUN) -m pytest $(TWO) -m "not slow and not system and not physics and not compiles"
 
 test-system: $(VENV)/.installed  ## browsers, several hosts, sweeps, kills, the README's commands: a quarter of an hour
 	$(RUN) -m pytest -m "system and not slow"

@@ -15,6 +15,7 @@ from qdil.qd import archive
 VARIANTS = ("mconbo-gail-obs", "mcond-vail", "mbo-true")
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("name", [*bases(), *VARIANTS])
 def test_a_base_trains(name):
     config = config_of(name, iterations=1, giril_steps=20, reward_steps=2, vail_latent=8)

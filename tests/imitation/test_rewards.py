@@ -24,6 +24,8 @@ from probes import (
 from qdil import methods
 from qdil.imitation.reward_model import InputModel, Inputs, hide, over_inputs
 
+pytestmark = pytest.mark.compiles
+
 IMITATORS = [base.name for base in methods.bases().values() if base.imitates]
 # The bonus is not the reward model's, so that mbo- and mconbo- share a model with "" and mcond-: see the test of it.
 MODELS = [prefix + base + suffix for base, suffix, prefix in product(IMITATORS, ("", "-obs"), ("", "mcond-"))]

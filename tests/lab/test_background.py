@@ -169,6 +169,7 @@ def cell_of(measures: np.ndarray, problem: Problem, cells: int) -> tuple[int, ..
     return tuple(np.clip(np.floor(cells * (measures - low) / (high - low)), 0, cells - 1).astype(int).tolist())
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_archive_holds_the_best_of_all_evaluations(name):
     problem, batches = recording(problems.rastrigin(6))

@@ -219,6 +219,7 @@ def series(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.physics
 def test_a_failing_notebook_is_named_with_cell_and_error_while_the_others_go_on(series, capfd):
     write(series, "00_bad", "x = 1", "x / 0", "print('never')")
     write(series, "01_good", "print(budget, env, seed)")
@@ -267,6 +268,7 @@ def test_a_bad_request_is_refused_in_a_line(series, capfd, arguments, named):
     assert named in said.err and said.err.count("\n") == 1 and not (series / "executed").exists()
 
 
+@pytest.mark.physics
 def test_noise_and_bulk_are_failures_and_the_copy_is_kept(tmp_path):
     parameters = {"budget": "smoke", "env": "walker2d", "seed": 1}
     (drafts := tmp_path / "drafts").mkdir()
@@ -279,6 +281,7 @@ def test_noise_and_bulk_are_failures_and_the_copy_is_kept(tmp_path):
         assert found.startswith(failure) and outputs_of(target)
 
 
+@pytest.mark.physics
 def test_a_notebook_has_a_limit_in_all_and_its_copy_is_kept(tmp_path):
     slow = write(tmp_path, "00_slow", "import time", "time.sleep(600)", "print('never')")
     parameters = {"budget": "smoke", "env": "walker2d", "seed": 1}
@@ -288,6 +291,7 @@ def test_a_notebook_has_a_limit_in_all_and_its_copy_is_kept(tmp_path):
     assert cells[-1].execution_count is None
 
 
+@pytest.mark.physics
 def test_a_kernel_that_dies_is_a_failure_with_its_cell(tmp_path):
     dying = write(tmp_path, "00_dying", "import os", "os._exit(3)", "print('never')")
     parameters = {"budget": "smoke", "env": "walker2d", "seed": 1}

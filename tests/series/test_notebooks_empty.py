@@ -11,6 +11,8 @@ from qdil.config import make_config, to_json
 from qdil.lab import steps
 from qdil.series import page
 
+pytestmark = pytest.mark.compiles
+
 ABOUT_RUNS = [name for name in NAMES if "05" <= name[:2] <= "11" or name[:2] == "13"]
 
 

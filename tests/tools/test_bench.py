@@ -140,6 +140,7 @@ def test_this_version_against_itself_does_the_same_work(tmp_path):
         assert row[f"{method}_warm_start_seconds"] < row[f"{method}_cold_start_seconds"] or method == "mconbo_gail"
 
 
+@pytest.mark.physics
 def test_a_version_that_fails_is_refused_in_a_sentence(tmp_path):
     (tmp_path / "qdil").mkdir()
     (tmp_path / "qdil" / "__init__.py").touch()

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from qdil.robots.batched import batch_last as module
 from qdil.robots.batched.batch_last import batch_last
 
+pytestmark = pytest.mark.compiles
+
 ROBOTS = 5
 SHARED = jnp.asarray(np.random.default_rng(1).normal(size=(4, 3)), jnp.float32)
 LINKS = jnp.array([1, 0, 1, -1])
