@@ -6,7 +6,7 @@ import numpy as np
 def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
     """Indices of the best elites by ``fitness`` (N,), best first.
 
-    There are as many as a fifth of the archive's ``cells``: 500 in the paper, of 2500.
+    Their number is a fifth of the archive's ``cells``: 500 of 2500 in the paper.
     """
     return np.argsort(-fitness, kind="stable")[: max(1, cells // 5)]
 

@@ -8,7 +8,7 @@ Signs are as in GAIL; the reward is −log(1−D(μ)) ≥ 0.
 Eqs. 5 and 8 print the expert's term as log(−D(z)), which is undefined for D ∈ (0, 1). We take −log D(z), as in Peng et
 al. The gradient penalty is GAIL's, taken through the mean latent μ.
 Departure from the authors' released program: β adapts and z is sampled (``vail_beta=fixed``: β = 1 and z = μ, as
-there).
+in that program).
 
 Reference
 - X. B. Peng, A. Kanazawa, S. Toyer, P. Abbeel, S. Levine, 2018. Variational Discriminator Bottleneck: Improving
