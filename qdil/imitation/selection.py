@@ -14,8 +14,8 @@ def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
 def farthest_points(measures: np.ndarray, count: int) -> np.ndarray:
     """Indices (count,) of diverse ``measures`` (N, k): the first, then always the one farthest from all chosen ones.
 
-    "Farthest" means the largest distance to the nearest chosen point. Also known as farthest-first traversal. The paper
-    asks for demonstrations "as diverse as possible" and gives no rule. Raises ValueError if N < ``count``.
+    "Farthest" means the largest distance to the nearest chosen point. This is farthest-first traversal. The paper asks
+    for demonstrations "as diverse as possible" and gives no rule. Raises ValueError if N < ``count``.
     """
     if len(measures) < count:
         raise ValueError(f"{count} demonstrations were asked for, but there are only {len(measures)} elites.")

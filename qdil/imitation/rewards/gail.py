@@ -3,7 +3,7 @@
 Signs: D_ψ = sigmoid(logit) is the probability that a step is the *expert's*. The discriminator minimises
 E_D[−log D] + E_π[−log(1−D)]. The reward of a step is −log(1−D) = softplus(logit) ≥ 0: higher for steps that look like
 the expert's, and never negative, so a robot gains by staying alive whatever it does.
-Not to be confused with AIRL's reward log D − log(1−D), which has either sign.
+AIRL's reward is another one: log D − log(1−D), which has either sign.
 
 Departures from the authors' released program: expert and policy observations share one normaliser (``expert_obs``).
 Expert rows are drawn at random; the program always takes the first batch. The gradient penalty, which the paper does
