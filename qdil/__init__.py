@@ -15,7 +15,7 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    """``qdil.explore`` and ``qdil.render``, imported when first asked for: they bring widgets and the simulator."""
+    """Import ``qdil.explore`` and ``qdil.render`` on first use, because they import widgets and the simulator."""
     if name in ("explore", "render"):
         from qdil import explorer
 

@@ -1,7 +1,7 @@
 """The command line, a thin layer over the library.
 
-Exit codes: 0 done, 1 failed or interrupted, 2 a request that cannot be met. A command is a function that adds its
-options to a parser, and the function that they belong to, below it.
+Exit codes: 0 success, 1 failure or interruption, 2 a request that cannot be met. Each command has two functions: the
+first adds its options to a parser, and the one below it runs the command.
 """
 
 import argparse
@@ -44,7 +44,7 @@ def _add_seeds(parser: Parser, default: str) -> None:
 def _add_train(parser: Parser) -> None:
     parser.description = (
         "Train one archive. Imitation methods need demonstrations: see 'qdil demos'.\n"
-        "An interrupted run goes on from its last checkpoint when the same command is given again."
+        "To resume an interrupted run from its last checkpoint, give the same command again."
     )
     parser.epilog = settings_help()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -59,7 +59,7 @@ def _add_train(parser: Parser) -> None:
     folder = f"run folder (default: {where}/METHOD/seed-N, with what --set changes in the name)"
     parser.add_argument("--out", type=Path, help=folder)
     parser.add_argument("--devices", type=int, help="local devices to use (default: as many as divide the counts)")
-    save = "seconds between checkpoints (default: 20); they take at most a few hundredths of the time"
+    save = "seconds between checkpoints (default: 20); saving takes at most a few hundredths of the time"
     parser.add_argument("--save-seconds", type=float, metavar="SECONDS", help=save)
     dry_run = "print the settings, the steps and a time estimate; train nothing"
     parser.add_argument("--dry-run", action="store_true", help=dry_run)
@@ -147,7 +147,7 @@ def _add_claims(parser: Parser) -> None:
         "Print a verdict for every claim and robot, and write the page with all numbers: results/claims.md (laptop), "
         "results/BUDGET/claims.md (other budgets). Trains nothing; takes seconds."
     )
-    parser.add_argument("--env", help="judge this robot alone, and write no page")
+    parser.add_argument("--env", help="judge only this robot, and write no page")
     _add_budget(parser)
     parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="default: results")
 
@@ -194,7 +194,7 @@ def _add_bench(parser: Parser) -> None:
     robots = f"one of {', '.join(robot_names())} (default: {', '.join(PAPER_ROBOTS)}; with --against: walker2d)"
     parser.add_argument("--env", action="append", metavar="ENV", help=robots)
     _add_budget(parser)
-    parser.add_argument("--rounds", type=int, default=5, help="turns that each speed is taken in (default: 5)")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds in which each speed is measured (default: 5)")
     parser.add_argument("--json", action="store_true", help="print an object per robot instead of a table")
     parser.add_argument("--against", type=Path, metavar="CHECKOUT", help="a folder that holds another version of qdil")
 
@@ -212,7 +212,7 @@ def _bench(args: argparse.Namespace) -> int:
         against.check(args.against)
         for env in robots:
             rows[env] = against.compare(args.against, env, args.budget, args.rounds)
-    elif len(robots) > 1:  # a process each, so that none inherits another's memory
+    elif len(robots) > 1:  # one process per robot, so that none inherits another's memory
         for env in robots:
             rows |= bench.in_own_process(env, args.budget, args.rounds)
     else:
@@ -275,14 +275,14 @@ def _methods(args: argparse.Namespace) -> int:
 def _add_notebooks(parser: Parser) -> None:
     parser.description = (
         "Execute notebooks, scheduled by Snakemake, into copies with outputs: results/notebooks/BUDGET. Notebooks load "
-        "finished runs; at smoke those that are missing are trained first, in minutes."
+        "finished runs; at smoke, missing runs are trained first, which takes minutes."
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="notebooks, e.g. 05_mconbo_gail (default: all)")
     _add_budget(parser, "smoke")
     parser.add_argument("--env", default="walker2d", help=f"robot: {', '.join(robot_names())} (default: walker2d)")
     parser.add_argument("--seed", type=int, default=1, help="the notebooks' seed (default: 1)")
     parser.add_argument("-j", type=int, default=2, metavar="N", help="notebooks at a time (default: 2)")
-    parser.add_argument("--train", action="store_true", help="train missing runs first at laptop and full, too: hours")
+    parser.add_argument("--train", action="store_true", help="also train missing runs at laptop and full: takes hours")
     limit = "limit for each notebook (default: 30)"
     parser.add_argument("--timeout", type=float, default=30.0, metavar="MINUTES", help=limit)
 
@@ -298,7 +298,7 @@ def _notebooks(args: argparse.Namespace) -> int:
     return 1 if failures else 0
 
 
-# All of them
+# All commands
 
 # Name -> a line for ``qdil --help``, the function that adds the options, and the one that runs the command.
 COMMANDS = {
@@ -331,7 +331,7 @@ def _add_import(parser: Parser) -> None:
 
 
 def _imports(argv: list[str]) -> list[str]:
-    """The modules that ``--import`` names. They are loaded before the options that list methods and robots are made."""
+    """The modules that ``--import`` names. They are loaded first, because the help of other options lists methods."""
     parser = Parser(add_help=False, exit_on_error=False)
     _add_import(parser)
     try:
@@ -342,9 +342,9 @@ def _imports(argv: list[str]) -> list[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    # Imports and tracing make millions of objects that stay: searching them for garbage is a tenth of a start.
+    # Imports and tracing create millions of objects that stay. Searching them for garbage takes a tenth of a start.
     gc.set_threshold(100_000, 20, 20)
-    atexit.register(gc.freeze)  # nor are they searched when the process ends
+    atexit.register(gc.freeze)  # so that the collection at exit skips them, too
     try:
         plugins.request(_imports(sys.argv[1:] if argv is None else argv))
         args = _parser().parse_args(argv)

@@ -1,4 +1,4 @@
-"""The one error that a person is meant to read."""
+"""The one error whose message is written for users."""
 
 
 class ConfigError(ValueError):

@@ -40,7 +40,7 @@ class Base(NamedTuple):
 
 _REWARDS = "qdil.imitation.rewards"
 
-# The paper's reward models in the order of its Table 1. Their modules import JAX, so they are named and not imported.
+# The paper's reward models in the order of its Table 1. Their modules import JAX, so this table only names them.
 BUILT_IN = (
     Base("true", "the environment's own reward: PPGA, the expert", f"{_REWARDS}.plain:true_reward", imitates=False),
     Base(

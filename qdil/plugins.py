@@ -1,8 +1,8 @@
-"""Modules of a user's own, which register reward models (``qdil.methods``) or robots (``qdil.robots.register``).
+"""A user's own modules, which register reward models (``qdil.methods``) or robots (``qdil.robots.register``).
 
 ``load`` imports a module if an installed package names it in the entry-point group ``qdil.plugins``, or if the command
 line names it with ``--import``. That option sets the variable ``QDIL_IMPORT``, so that notebooks and the jobs of a
-sweep, which run in processes of their own, import the module too.
+sweep, which run in other processes, import the module too.
 """
 
 import os
@@ -18,7 +18,7 @@ VARIABLE = "QDIL_IMPORT"  # names of modules, separated by commas
 
 
 def request(modules: list[str]) -> None:
-    """Ask for ``modules`` by name: the next ``load`` imports them, in this process and in those that it starts."""
+    """Request ``modules`` by name. The next ``load`` imports them, in this process and in processes that it starts."""
     os.environ[VARIABLE] = ",".join(dict.fromkeys([*_requested(), *modules]))
     load.cache_clear()
 
@@ -29,10 +29,10 @@ def _requested() -> list[str]:
 
 @cache
 def load() -> None:
-    """Import every module that is asked for, once per process.
+    """Import every requested module, once per process.
 
-    A module is looked for where Python looks for all modules, and then in the working directory. Raises ConfigError, in
-    one sentence that names it, for a module that cannot be imported or that registers something impossible.
+    Modules are searched on Python's path, then in the working directory. Raises ConfigError, in one sentence that names
+    the module, if a module cannot be imported or registers something impossible.
     """
     for entry in entry_points(group=ENTRY_POINTS):
         try:
@@ -41,7 +41,7 @@ def load() -> None:
             raise _refusal(f"the installed plugin '{entry.name}'", error) from error
     for name in _requested():
         if os.getcwd() not in sys.path:
-            sys.path.append(os.getcwd())  # the command ``qdil``, unlike ``python -m qdil``, does not look there
+            sys.path.append(os.getcwd())  # Python does this for ``python -m qdil``, but not for the command ``qdil``
         try:
             import_module(name)
         except Exception as error:

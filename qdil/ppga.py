@@ -22,7 +22,7 @@ from qdil.rl.evaluate import Policies
 
 
 class Search(NamedTuple):
-    """A run in progress, as a value: what goes on from it returns another one and leaves it as it is."""
+    """A run in progress, as a value: functions that continue it return a new ``Search`` and leave this one as it is."""
 
     config: Config
     engine: Engine
@@ -46,10 +46,10 @@ class Info(NamedTuple):
     rolled_back: float  # training phases discarded because a number was not finite
     approx_kl: float  # nats, of the walk's last update
     action_std: float
-    reward: dict[str, float]  # what the reward model reports of its learning
+    reward: dict[str, float]  # the reward model's own measurements of its learning
 
     def columns(self) -> dict[str, float]:
-        """Its columns of ``metrics.csv``; a coefficient each has its own."""
+        """The columns of ``metrics.csv`` that it fills; each coefficient has its own."""
         named = {f"c{i}": float(c) for i, c in enumerate(self.coefficients)}
         plain = {n: v for n, v in self._asdict().items() if n not in ("restarts", "steps", "coefficients", "reward")}
         return {**named, **plain, **self.reward}
@@ -78,12 +78,12 @@ def iteration(search: Search) -> tuple[Search, Info]:
     archives, xnes, rng = search.archives, copy.deepcopy(search.xnes), copy.deepcopy(search.rng)
     occupied = jnp.asarray(archive.occupied(archives))
 
-    # Gradients (lines 4-5): copy i of θ_μ is trained on objective i alone. The copies are thrown away; the running
-    # statistics and the robots go on.
+    # Gradients (lines 4-5): copy i of θ_μ is trained on objective i alone. The copies are discarded; the running
+    # statistics and the robots continue from there.
     copies = engine.train_copies(state, occupied, config.ppga.gradient_updates)
     state = copies.state._replace(train_state=state.train_state)
 
-    # Branching (lines 6-11): candidates along sampled combinations of the gradients, each over whole episodes.
+    # Branching (lines 6-11): candidates along sampled combinations of the gradients, scored over whole episodes.
     coefficients = xnes.ask()
     policies, _ = engine.branch(state, copies.theta, coefficients)
     key, episode_key = jax.random.split(state.key)
@@ -121,10 +121,10 @@ def iteration(search: Search) -> tuple[Search, Info]:
 
 
 def walk_weights(config: Config, archives: Archives, xnes: XNES) -> np.ndarray:
-    """c_μ (1+k,) of the walk (line 16): the xNES mean, with fitness never minimised; or fitness alone.
+    """c_μ (1+k,) of the walk (line 16): the xNES mean with |c_0|, so that fitness is never minimised; or fitness alone.
 
-    Fitness alone is for ``walk_weights=fitness``, and until a candidate has passed ``threshold_min``: before that xNES
-    has learned nothing.
+    Fitness alone is used for ``walk_weights=fitness``, and until a candidate exceeds ``threshold_min``, because before
+    that xNES has learned nothing.
     """
     c_mu = np.array(xnes.mean, np.float32)
     c_mu[0] = np.abs(c_mu[0])
@@ -135,8 +135,8 @@ def walk_weights(config: Config, archives: Archives, xnes: XNES) -> np.ndarray:
 def warm_up(search: Search, updates: int) -> tuple[Search, int, dict[str, float]]:
     """A round of plain PPO on the method's own reward before the first iteration (ours, the same for every method).
 
-    At most N2 of the ``updates`` still to do, so that a learned reward model learns along. Returns how many were done
-    and what the run's metrics need: environment ``steps``, phases ``rolled_back``.
+    A round does at most N2 of the remaining ``updates``, and a learned reward model is updated after it. Returns the
+    number of updates done and two numbers for the run's metrics: environment ``steps`` and phases ``rolled_back``.
     """
     config, engine, demos = search.config, search.engine, search.demos
     occupied = jnp.asarray(archive.occupied(search.archives))
@@ -160,7 +160,7 @@ def warmed_up(search: Search, updates: int) -> Search:
 
 
 def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
-    """Score λ policies over whole episodes and bring them to the host, with the fitness that archives compete on."""
+    """Score λ policies over whole episodes, with the fitness that archives compare, and copy them to the host."""
     config, occupied = search.config, jnp.asarray(archive.occupied(search.archives))
     scores = search.engine.score(search.state, occupied, policies, key)
     fitness = scores.true_return if config.ppga.selection == "true" else scores.fitness
@@ -172,17 +172,18 @@ def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
 
 
 def batch_of_elites(search: Search, first: int) -> Policies:
-    """λ elites from row ``first`` on, on the devices; the last one fills up a batch that would be too short."""
+    """λ elites from row ``first`` on, placed on the devices; if fewer are left, the last elite is repeated."""
     elites = archive.elite_arrays(search.archives)
     rows = np.minimum(np.arange(first, first + search.config.ppga.candidates), len(elites["index"]) - 1)
     return search.engine.elites(elites, rows)
 
 
 def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
-    """Score every elite again, over new episodes and by what fills the archive, as it is now (Appendix K).
+    """Score every elite again over new episodes, by the fitness that archives compare at present (Appendix K).
 
+    Archived scores are too high on average, because an archive keeps the best of many noisy scores; new scores are not.
     Returns ``rescored_fitness``, ``rescored_return`` (n,) and ``rescored_measures`` (n, k) in the order of
-    ``archive.elite_arrays``: what selection of the best of many noisy scores hides.
+    ``archive.elite_arrays``.
     """
     count, size = len(search.archives.result), search.config.ppga.candidates
     firsts = range(0, count, size)

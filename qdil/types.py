@@ -1,4 +1,4 @@
-"""The values that travel between rollouts, reward models and learning."""
+"""The values that rollouts, reward models and learning pass to each other."""
 
 from typing import Any, NamedTuple
 
@@ -36,7 +36,7 @@ class ActionSample(NamedTuple):
 
 
 class Normaliser(NamedTuple):
-    """What turns observations into deviations from a mean."""
+    """The mean and spread that normalise observations."""
 
     mean: jax.Array  # (O,)
     std: jax.Array  # (O,)
@@ -52,12 +52,12 @@ class ObsStats(NamedTuple):
 
     @property
     def normaliser(self) -> Normaliser:
-        """The normaliser as it is now."""
+        """The present mean and spread."""
         return Normaliser(self.mean, self.std)
 
 
 class RewardContext(NamedTuple):
-    """What a reward model may look at besides its own state."""
+    """What a reward model may read besides its own state."""
 
     normaliser: Normaliser  # the policy's, for demonstrations and policy data alike; GIRIL and PWIL keep their own
-    occupied: jax.Array  # (cells, …) bool grid over the unit measure cube: which archive cells are filled
+    occupied: jax.Array  # (cells, …) bool grid over the unit measure cube, True for filled archive cells

@@ -1,4 +1,4 @@
-"""A smoke run in a process of its own that prints the name of each step and waits a moment before taking it.
+"""A smoke run in a separate process that prints the name of each step and waits a moment before taking it.
 
 ``python announcing.py FOLDER ITERATIONS``; a test reads the lines and kills the process at one of them.
 """

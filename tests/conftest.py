@@ -15,7 +15,7 @@ settings.register_profile("qdil", deadline=None, max_examples=50, derandomize=Tr
 settings.load_profile("qdil")
 
 MAPS = Path("/proc/self/maps")  # Linux
-MANY_MAPS = 20_000  # Linux allows 65,530; past that XLA crashes without a word
+MANY_MAPS = 20_000  # Linux allows 65,530; beyond that XLA crashes without a message
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -20,7 +20,7 @@ MODULES = {
     "sweeps": ("snakemake",),
     "notebooks": ("papermill", "nbformat", "nbclient", "ipykernel", "IPython", "jupyterlab", "sphinx", "myst_nb"),
 }
-# A Python in which some modules are not installed, and that then does what its last argument says.
+# A Python process that lacks some modules and then executes its last argument.
 WITHOUT = """
 import importlib.metadata, sys
 missing = sys.argv[1].split(",")

@@ -205,10 +205,10 @@ def test_names_that_look_like_variants_cannot_be_taken(fresh, name):
 
 
 def test_names_that_are_taken_stay_so(fresh):
-    theirs = methods.bases()["gail"]
+    built_in = methods.bases()["gail"]
     with pytest.raises(ConfigError, match="already.*'gail'"):
         register("gail", "a model")(centre)
-    assert methods.bases()["gail"] == theirs
+    assert methods.bases()["gail"] == built_in
     register("centre", "a model")(centre)
     register("centre", "a model")(centre)  # the same again, as when a module is imported twice, does no harm
 

@@ -1,4 +1,4 @@
-"""Modules of a user's own: found by name or by an installed package, on the command line, and refused in a sentence."""
+"""A user's own modules: found by name or by an installed package, on the command line, and refused in a sentence."""
 
 import os
 import subprocess

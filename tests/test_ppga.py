@@ -94,7 +94,7 @@ def test_a_permutation_of_candidates_permutes_their_results(expert):
 
 
 def test_the_same_search_goes_on_the_same_way_twice(expert):
-    """A search is a value: what goes on from it leaves it as it is."""
+    """A search is a value: an iteration leaves it as it is."""
     search = expert[0]
     before = archive.elite_arrays(search.archives)
     one, info = ppga.iteration(search)
@@ -167,7 +167,7 @@ def test_an_iteration_is_gradients_then_walk_then_a_fresh_rollout(imitator):
     gradients, walk, fresh = watched.engine.phases
     assert [phase[0] for phase in watched.engine.phases] == ["gradients", "walk", "rollout"]
     assert (gradients[4], walk[4]) == (3, 2)
-    # The copies' learning is thrown away: the walk begins at the very θ_μ and critic that the gradients began at.
+    # The copies' learning is discarded: the walk begins at the very θ_μ and critic that the gradients began at.
     jax.tree.map(np.testing.assert_array_equal, gradients[1].train_state, walk[1].train_state)
     assert float(walk[1].stats.seen) > float(gradients[1].stats.seen)
     np.testing.assert_array_equal(gradients[2], archive.occupied(imitator.archives))

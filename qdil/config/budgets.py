@@ -1,4 +1,4 @@
-"""The budgets ``smoke``, ``laptop`` and ``full``, what robots and methods change of them, and ``make_config``."""
+"""The budgets ``smoke``, ``laptop`` and ``full``, their changes for robots and methods, and ``make_config``."""
 
 from typing import Any
 
@@ -55,10 +55,10 @@ SMOKE: dict[str, Any] = {
     "giril_steps": 200,
 }
 
-# What each budget changes of the defaults.
+# The settings in which each budget differs from the defaults.
 BUDGETS: dict[str, dict[str, Any]] = {"smoke": SMOKE, "laptop": LAPTOP, "full": {}}
 
-# What differs between robots, by budget.
+# Further changes for some robots, by budget and robot.
 PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
     # A step of the cheetah is 0.05 s (walker2d: 0.008 s): it needs fewer steps and a nearer horizon. It cannot fall.
     ("laptop", "halfcheetah"): {
@@ -73,7 +73,7 @@ PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
     ("full", "humanoid"): {"sigma0": 0.5, "archive_learning_rate": 0.1, "learning_rate": 3e-4},
 }
 
-# What the authors' released program does where the paper says otherwise (p and q: its shipped runners).
+# The choices of the authors' released program where they differ from the paper's (p and q: from its shipped runners).
 RELEASED: dict[str, Any] = {
     "selection": "true",
     "walk_weights": "fitness",
@@ -87,7 +87,7 @@ RELEASED: dict[str, Any] = {
     "pwil_coupling": "step",
 }
 
-# An empty cell's threshold, return per step, where a reward may be negative: low enough that any first elite counts.
+# Threshold of an empty cell, return per step, for rewards that may be negative: so low that any first elite enters.
 SIGNED_THRESHOLD = -10.0
 
 
@@ -117,8 +117,9 @@ def make_config(env: str, method: str, budget: str, seed: int = 1, **changes: An
 def _for_measures(budget: str, k: int) -> dict[str, Any]:
     """A budget's counts for a robot of ``k`` measures; unchanged for the paper's robots, which have two.
 
-    ``num_envs`` becomes a multiple of the 1 + k copies that VPPO trains and of four devices, the smallest that is not
-    below the budget's. ``cells`` per measure shrinks where k > 2, so that the grid's cells^k stays near the budget's.
+    ``num_envs`` becomes the smallest multiple of 4 (1 + k) that is not below the budget's, so that the 1 + k copies of
+    VPPO can be shared by four devices. ``cells`` per measure shrinks if k > 2, so that the grid's cells^k cells stay
+    near the budget's number.
     """
     chosen = BUDGETS[budget]
     envs, cells = chosen.get("num_envs", PPO.num_envs), chosen.get("cells", PPGA.cells)

@@ -11,7 +11,7 @@ from qdil.errors import ConfigError
 from qdil.methods import parse_method
 from qdil.robots.register import backends_of, count_measures
 
-# Names of settings in earlier versions, and what they are called now.
+# Names of settings in earlier versions, and their present names.
 OLD_NAMES = {
     "window": "rollout_length",
     "eval_chunk": "eval_chunk_steps",
@@ -65,7 +65,7 @@ def _require(holds: bool, config: Config, name: str, rule: str) -> None:
 
 
 def unknown(name: str) -> str:
-    """The sentence for a setting that does not exist: what it is called now, or which name is close."""
+    """The message for a setting that does not exist: it gives the present name, or a similar one."""
     if name in OLD_NAMES:
         return f"unknown setting '{name}': it is now called {OLD_NAMES[name]}."
     close = get_close_matches(name, [*GROUP_OF, *OLD_NAMES], 1)
@@ -74,7 +74,7 @@ def unknown(name: str) -> str:
 
 
 def refusal(error: ValidationError) -> str:
-    """The first of pydantic's findings as one sentence that names the setting."""
+    """pydantic's first error as one sentence that names the setting."""
     first = error.errors()[0]
     name, value, limits = str(first["loc"][0]), first["input"], first.get("ctx", {})
     rules = {

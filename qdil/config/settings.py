@@ -1,6 +1,6 @@
 """Every setting of a run, in typed groups, and the ways to reach a setting by its flat name.
 
-A compiled program depends on the groups that it is given and on nothing else, so no recorded setting is without effect.
+A compiled program depends on the groups that it receives and on nothing else, so every recorded setting has its effect.
 Users know settings by flat names: ``--set gamma=0.99`` on the command line, ``"gamma"`` in ``config.json`` and
 ``make_config(..., gamma=0.99)`` all mean ``config.ppo.gamma``.
 """
@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
-IDENTITY = ("env", "method", "budget", "seed")  # they name a run, and have options of their own instead of --set
+IDENTITY = ("env", "method", "budget", "seed")  # they name a run; each has its own option instead of --set
 
 
 def _as_tuple(value: Any) -> Any:
@@ -31,7 +31,7 @@ STRICT = ConfigDict(strict=True)  # the text "7" is not an integer, and True is 
 
 
 def setting(default: Any, what: str) -> Any:
-    """A setting and its default for the ``full`` budget; ``what`` says what it is, its unit, and where that is from."""
+    """A setting and its default for the ``full`` budget; ``what`` gives meaning, unit and the default's source."""
     return Field(default, description=what)
 
 
@@ -169,14 +169,14 @@ class Reward:
 
 @dataclass(frozen=True, config=STRICT)
 class Config:
-    """A run, nothing implied. Defaults are the ``full`` budget: the paper's and its authors' settings."""
+    """All settings of a run. Defaults are the ``full`` budget: the paper's and its authors' settings."""
 
     env: str
     method: str
     budget: str
     seed: Count = 1
     protocol: Literal["paper", "released"] = setting(
-        "paper", "paper, or released: that program's choices wherever a setting of this list has them"
+        "paper", "paper, or released: the choices of the authors' released program where they differ"
     )
     devices: Count = setting(0, "local devices to shard over; 0: as many as divide the counts")
     simulation: Simulation = Simulation()
@@ -195,7 +195,7 @@ GROUP_OF: dict[str, str | None] = {f.name: None for f in dataclasses.fields(Conf
     field.name: group for group, kind in GROUP_TYPES.items() for field in dataclasses.fields(kind)
 }
 
-# Settings that change how fast a run is, and not what it finds.
+# Settings that change the speed of a run but not its results.
 SPEED_ONLY = ("eval_chunk_steps", "eval_chunks_per_sync", "eval_batch_size", "devices")
 
 
@@ -232,5 +232,5 @@ def choices(name: str) -> tuple[str, ...]:
 
 
 def descriptions() -> dict[str, str]:
-    """What every setting is, with its unit and where its ``full`` default is from, by flat name."""
+    """The meaning of every setting by flat name, with its unit and the source of its ``full`` default."""
     return {name: field.description or "" for name, field in changeable().items()}

@@ -40,7 +40,7 @@ def parse_settings(pairs: list[str]) -> dict[str, Any]:
 
 
 def _typed(kind: Any, text: str) -> Any:
-    """``text`` as a value of a setting's type, or as it is if it does not read as one."""
+    """``text`` converted to a setting's type, or unchanged if that is not possible."""
     try:
         if kind is bool:
             return {"true": True, "false": False}.get(text.lower(), text)
@@ -63,7 +63,7 @@ def _checked(name: str, value: Any, pair: str) -> Any:
 
 
 def settings_help() -> str:
-    """The settings that ``--set`` takes, by group, each with its ``full`` default and what it is."""
+    """The settings that ``--set`` takes, by group, each with its ``full`` default and its meaning."""
     what = descriptions()
     lines = ["settings (with the defaults of the full budget):"]
     for group in (None, *GROUPS):
@@ -88,7 +88,7 @@ OLD_VALUES = {("bonus_scope", "window"): "rollout"}  # values that earlier versi
 
 
 def with_current_names(content: dict[str, Any]) -> dict[str, Any]:
-    """The content of a ``config.json`` of any version under the names and words of this one."""
+    """The content of any version's ``config.json``, with the present names and values."""
     renamed = {OLD_NAMES.get(name, name): value for name, value in content.items()}
     return {n: OLD_VALUES.get((n, v), v) if isinstance(v, str) else v for n, v in renamed.items()}
 

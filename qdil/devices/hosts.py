@@ -14,7 +14,7 @@ from jax.experimental import multihost_utils
 
 from qdil.errors import ConfigError
 
-REFUSED = 2  # besides 0 and 1 for False and True
+REFUSED = 2  # what host 0 sends, instead of 0 or 1, if it raised ConfigError
 
 VARIABLES = ("JAX_COORDINATOR_ADDRESS", "JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
 
@@ -43,7 +43,7 @@ def is_first() -> bool:
 
 
 def broadcast_from_host0(value: bool) -> bool:
-    """Host 0's ``value``, on every host. Clocks differ, so decisions by the clock are host 0's."""
+    """Host 0's ``value``, on every host. Clocks differ, so host 0 makes the decisions that depend on time."""
     if jax.process_count() == 1:
         return value
     return bool(multihost_utils.broadcast_one_to_all(np.array(value)))

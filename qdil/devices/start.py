@@ -27,7 +27,7 @@ def use_all_cores() -> None:
     - JAX's compilation cache lives in ``~/.cache/qdil``, one folder per jaxlib version and kind of processor, and
       keeps every program, however fast it compiles.
 
-    Processes that this one starts inherit both. Settings that the user has made already stay as they are.
+    Processes that this one starts inherit both. Settings that the user made before stay unchanged.
     """
     _set_host_devices()
     _set_compilation_cache()
@@ -45,11 +45,11 @@ def _set_compilation_cache() -> None:
     root = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folder = root / "qdil" / f"jaxlib-{version('jaxlib')}-{platform.machine()}"
     _set("JAX_COMPILATION_CACHE_DIR", str(folder))
-    _set("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", 0)  # many small programs are seconds too
+    _set("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", 0)  # compiling many small programs takes seconds, too
 
 
 def _set(variable: str, value: str | int) -> None:
-    """Set one of JAX's variables unless the user has set it; JAX may be imported, and have read them, already."""
+    """Set one of JAX's variables unless the user has set it; JAX may already be imported and have read them."""
     if variable not in os.environ:
         os.environ[variable] = str(value)
         if "jax" in sys.modules:

@@ -21,7 +21,7 @@ def single_threaded(num_devices: int) -> Options:
     """For physics: no operation is split over threads, and operations run one after the other.
 
     A step of physics is hundreds of short operations, most of which take longer if two cores share them: a tenth
-    longer, and half as long again on machines that wake threads slowly.
+    longer, or half as long again on machines that wake threads slowly.
     """
     return _on_cpu(
         {

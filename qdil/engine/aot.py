@@ -1,8 +1,8 @@
-"""Ahead-of-time compilation: all of a run's programs on threads, while the next one is still being traced.
+"""Ahead-of-time compilation: threads compile a run's programs while Python traces the next one.
 
-XLA compiles one program on little more than one core, and loads one from the cache on less; tracing is Python's and
-needs one at a time. What is compiled here is what the calls find later: the same shapes in the same layouts, which
-the programs themselves give.
+XLA uses little more than one core to compile a program, and less to load one from the cache. Python can trace only one
+program at a time. A later call finds its compiled program if its arguments have the shapes and layouts that were
+compiled here. For results of other programs, ``Program.lower`` returns both.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -24,7 +24,7 @@ from qdil.types import RewardContext
 
 
 class Compiler:
-    """Hands programs to threads that compile them; returns their results as shapes in their layouts."""
+    """Passes programs to threads that compile them; returns their results as shapes in their layouts."""
 
     def __init__(self, threads: ThreadPoolExecutor) -> None:
         self.threads = threads
@@ -42,7 +42,7 @@ def compile_all(
     search: SearchPrograms, reward: RewardPrograms, config: Config, key: jax.Array, demos: Demonstrations | None
 ) -> list[str]:
     """Compile every program that a run with this ``config``, ``key`` and ``demos`` calls; returns their names."""
-    # Hosts that compile together must do so in the same order.
+    # Hosts must compile in the same order, so each uses a single thread if there are several.
     threads = ThreadPoolExecutor(2 if jax.process_count() == 1 else 1, "compile")
     try:
         compiler = Compiler(threads)
@@ -62,9 +62,9 @@ def _compile_in_order(
     key: jax.Array,
     demos: Demonstrations | None,
 ) -> None:
-    """In the order of their calls, but for the longest, the simulation, which go first."""
-    given = _arguments(config, search)
-    occupied, bonus, weighting, number, learn_key, keys, policies, coefficients = given
+    """Compile the simulation's programs first, because they take longest; the others in the order of their calls."""
+    arguments = _arguments(config, search)
+    occupied, bonus, weighting, number, learn_key, keys, policies, coefficients = arguments
 
     train_state, stats, envs = compiler(search.init, key)
     copies = compiler(search.replicate, train_state)
@@ -91,18 +91,18 @@ def _compile_in_order(
 
 
 def _arguments(config: Config, search: SearchPrograms) -> tuple[Any, ...]:
-    """The arguments that no program gives, as shapes in their layouts."""
+    """The arguments that are not results of a program, as shapes in their layouts."""
     mesh: Mesh = search.mesh
     env, candidates, objectives = search.env, config.ppga.candidates, search.objectives
     weighting = Weighting(jnp.eye(objectives), jnp.asarray(True))
     cells = (config.ppga.cells,) * len(env.measure_names)
-    whole = jnp.zeros(cells, bool), jnp.zeros(2), weighting, jnp.asarray(0, jnp.int32), jax.random.key(0)
+    replicated = jnp.zeros(cells, bool), jnp.zeros(2), weighting, jnp.asarray(0, jnp.int32), jax.random.key(0)
     count = (candidates, config.evaluation.episodes)
     keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), count))
     sizes = (flat_size(search.template), env.obs_size, env.obs_size)
     policies = [jnp.zeros((candidates, size)) for size in sizes]
     return (
-        *(as_laid_out(one, REPLICATED, mesh) for one in whole),
+        *(as_laid_out(one, REPLICATED, mesh) for one in replicated),
         as_laid_out(keys, SHARDED, mesh),
         Policies(*(as_laid_out(one, SHARDED, mesh) for one in policies)),
         jnp.zeros((candidates, objectives)),

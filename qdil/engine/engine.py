@@ -1,4 +1,4 @@
-"""A run's programs put together in the form that Algorithm 1 asks for, and the host's loops over them."""
+"""The steps of Algorithm 1 as calls of a run's programs, with the host's loops around them."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
@@ -47,9 +47,9 @@ class Trained(NamedTuple):
 
 
 class Engine:
-    """Everything that a run computes; nothing compiles before it is called.
+    """Everything that a run computes. A program compiles when it is first called.
 
-    ``occupied`` (cells, …) bool says which archive cells are filled, for the bonus. Raises ConfigError if robots or
+    ``occupied`` (cells, …) bool marks the filled archive cells, for the bonus. Raises ConfigError if robots or
     candidates cannot be shared out over the devices.
     """
 
@@ -103,7 +103,7 @@ class Engine:
         return self._train(state, occupied, self._tied(weights), True, updates, self.config.ppo.epochs)
 
     def rollout(self, state: State, occupied: jax.Array) -> Trained:
-        """One rollout of θ_μ on all robots, from which nothing but the running statistics learns."""
+        """One rollout of θ_μ on all robots. Only the running statistics learn from it."""
         weights = np.eye(self.objectives, dtype=np.float32)[0]
         return self._train(state, occupied, self._tied(weights), True, 1, epochs=0)
 
@@ -116,7 +116,7 @@ class Engine:
     ) -> Trained:
         """``updates`` ≥ 1 VPPO updates of K copies of θ_μ; copy 0 takes θ_μ's place.
 
-        A phase that ends in numbers that are not finite is discarded, whole, and reported as ``rolled_back``.
+        If the phase ends with a number that is not finite, all of it is discarded and ``rolled_back`` is 1.
         """
         search, reward = self.search, self.reward
         key, learn_key = jax.random.split(state.key)
@@ -138,8 +138,8 @@ class Engine:
             envs, transitions, sample = search.collect(copies, stats, envs)
             context = RewardContext(stats.normaliser, occupied)
             memory, fitness = reward.compute(state.reward, memory, context, bonus, transitions)
-            # Past some thirty programs in line, a launch blocks a thread that a device may need: they would wait for
-            # each other for ever.
+            # With about thirty launched programs in the queue, a launch blocks a thread that a device may need, and the
+            # two wait for each other for ever. So the host waits for the previous update here.
             jax.block_until_ready(info)
             experience = Experience(transitions, sample, fitness)
             copies, stats, info = search.learn(learn_key, number, copies, stats, experience, weighting, steps)
@@ -160,7 +160,7 @@ class Engine:
         return self.search.branch(state.train_state.policy, state.stats.normaliser, theta, c)
 
     def score(self, state: State, occupied: jax.Array, policies: Policies, key: jax.Array) -> Scores:
-        """λ policies over whole episodes, n each, by the reward model as it is now (Algorithm 1, lines 9-11)."""
+        """Score λ policies over n whole episodes each, with the present reward model (Algorithm 1, lines 9-11)."""
         search, reward = self.search, self.reward
         count = (self.config.ppga.candidates, self.config.evaluation.episodes)
         context = RewardContext(state.stats.normaliser, laid_out(occupied, replicated(search.mesh)))
@@ -177,7 +177,7 @@ class Engine:
 
     def elites(self, elites: dict[str, np.ndarray], rows: np.ndarray) -> Policies:
         """The λ elites in ``rows`` of an archive's arrays, placed."""
-        # Arrays of the host: those on a device would need programs of their own to be split.
+        # The arrays are on the host: to split an array on a device, JAX would compile one more program.
         arrays: Any = (elites[name][rows] for name in ("solution", "obs_mean", "obs_std"))
         return self.place(Policies(*arrays))
 

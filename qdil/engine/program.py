@@ -2,7 +2,7 @@
 
 A class of programs has one decorated method per program. ``programs.collect(…)`` calls the compiled method;
 ``programs.collect.lower(…)`` traces it and gives its results as shapes in their layouts, which is all that
-ahead-of-time compilation needs (``qdil.engine.aot``). The method's own types are those of the call.
+ahead-of-time compilation needs (``qdil.engine.aot``). A type checker sees the method's own types in a call.
 """
 
 from collections.abc import Callable, Iterator
@@ -63,7 +63,7 @@ def as_laid_out(tree: Any, layout: P, mesh: Mesh) -> Any:
 
 
 class _Declared(Generic[Args, Result]):
-    """A declared program: an attribute that compiles itself for its owner's mesh when it is first asked for."""
+    """A declared program: an attribute that builds a ``Program`` for its owner's mesh when it is first read."""
 
     def __init__(
         self,
@@ -102,8 +102,8 @@ class _Declared(Generic[Args, Result]):
             jitted = jax.jit(function, out_shardings=shardings, compiler_options=compiler_options)
         else:
             # Brax does not trace with check_vma=True.
-            split = jax.shard_map(function, mesh=mesh, in_specs=self.takes, out_specs=self.gives, check_vma=False)
-            jitted = jax.jit(split, compiler_options=compiler_options)
+            sharded = jax.shard_map(function, mesh=mesh, in_specs=self.takes, out_specs=self.gives, check_vma=False)
+            jitted = jax.jit(sharded, compiler_options=compiler_options)
         return Program(self.name, jitted, self.gives, mesh)
 
 

@@ -42,12 +42,12 @@ from qdil.types import (
 
 
 class SearchPrograms:
-    """Programs that simulate, train and branch policies, whatever rewards them."""
+    """Programs that simulate, train and branch policies, independent of the reward."""
 
     def __init__(
         self, env: Environment, ppo: PPO, evaluation: Evaluation, episode_length: int, num_devices: int
     ) -> None:
-        chunks = math.ceil(episode_length / evaluation.eval_chunk_steps)  # more than an episode has would be empty
+        chunks = math.ceil(episode_length / evaluation.eval_chunk_steps)  # of an episode; further chunks would be empty
         self.env, self.ppo, self.episode_length = env, ppo, episode_length
         self.evaluation = replace(evaluation, eval_chunks_per_sync=min(evaluation.eval_chunks_per_sync, chunks))
         self.mesh = make_mesh(num_devices)
@@ -94,7 +94,7 @@ class SearchPrograms:
         weighting: Weighting,
         epochs: jax.Array,
     ) -> tuple[TrainState, ObsStats, vppo.Info]:
-        """What the copies learn from a rollout; ``update`` () is its number within the training phase."""
+        """Let the copies learn from a rollout; ``update`` () is its number within the training phase."""
         key = jax.random.fold_in(key, update)
         return vppo.learn(self.ppo, key, copies, stats, experience, weighting, epochs)
 
@@ -105,7 +105,7 @@ class SearchPrograms:
 
     @program(gives=(SHARDED, REPLICATED))
     def discard_update(self, envs: EnvBatch, policy: Params) -> tuple[EnvBatch, jax.Array]:
-        """The end of a training phase that went wrong: robots as before it, and θ_μ for every copy."""
+        """The end of a training phase that is discarded: the robots before it, and θ_μ for every copy."""
         return vppo.discard_update(envs, policy, self.objectives)
 
     # Branching, evaluation, restart
@@ -171,7 +171,7 @@ class RewardPrograms:
 
     @program(gives=SHARDED)
     def begin_scoring(self, reward: RewardState) -> RewardSum:
-        """No reward yet for each of λ·n episodes."""
+        """A reward sum of zero for each of λ·n episodes."""
         episodes = self.config.ppga.candidates * self.config.evaluation.episodes
         return fitness.begin_scoring(self.model, reward, episodes)
 

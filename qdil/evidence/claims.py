@@ -1,7 +1,7 @@
 """The paper's claims C1 to C16 and our own questions Q1 to Q4, each judged from the finished runs.
 
 A claim is a record: the sentence, where the paper makes it, on which robots, and the comparisons that it consists of.
-It is reproduced on a robot if all of them hold there. ``docs/claims.md`` explains every rule.
+It is reproduced on a robot if all its comparisons hold. ``docs/claims.md`` explains every rule.
 """
 
 from collections.abc import Iterable, Sequence

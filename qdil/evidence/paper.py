@@ -2,7 +2,7 @@
 
 ``paper_numbers.csv`` holds each number with its source. Two origins are kept apart here. ``PAPER`` is the paper's own
 figures and its authors' result files. ``LATER`` is the table of the paper's later version, whose methods differ (p = 0,
-q = 2, no measure conditioning in their names); a later number never stands in for the paper's.
+q = 2, no measure conditioning in their names); a later number never replaces the paper's.
 """
 
 from functools import cache

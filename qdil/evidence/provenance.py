@@ -1,4 +1,4 @@
-"""The runs behind a comparison: their seeds and commits, and what makes some of them hard to compare with others."""
+"""The runs behind a comparison: their seeds and commits, and differences that make some of them hard to compare."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence

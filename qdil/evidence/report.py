@@ -28,14 +28,14 @@ SCALE = {
     "laptop": "Our numbers and the paper's differ in scale (cells, episodes, training): compare order, not size.",
     "full": "Our numbers and the paper's are of the same scale.",
 }
-UNCLAIMED = "†"  # marks a robot, or a problem of Lemma 1, that the paper does not make the claim of
+UNCLAIMED = "†"  # marks a robot, or a problem of Lemma 1, for which the paper does not make the claim
 NOTE = f"{UNCLAIMED} The paper does not make the claim of this robot or problem."
 NO_NUMBER = "no number"  # for what the paper shows without a number
 ANSWERS = {"reproduced": "yes", "not reproduced": "no"}  # verdicts on our own questions
 
 
 def words(verdict: Verdict, status: str) -> str:
-    """``status``, a verdict on a claim or on a part of it, in words; our own questions are answered with yes or no."""
+    """``status``, a verdict on a claim or on a part of it, in words: for our own questions, yes or no."""
     return ANSWERS.get(status, status) if verdict.claim.where == "ours" else status
 
 
@@ -99,9 +99,10 @@ def comparison(part: Part) -> str:
 
 
 def of_paper(env: str, part: Part, ours: bool = False) -> str:
-    """The paper's numbers for a comparison, "not recoverable" if lost, with the later version's if it has all of them.
+    """The paper's numbers for a comparison, as a text.
 
-    ``ours``: the comparison belongs to one of our own questions.
+    A lost number is "not recoverable"; the later version's numbers are then added if it has all of them. ``ours``: the
+    comparison belongs to one of our own questions.
     """
     if ours or part.reading not in paper.METRICS:
         return "–" if ours else NO_NUMBER

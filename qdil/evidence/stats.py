@@ -1,9 +1,9 @@
-"""Interval estimates over seeds: a bootstrap that resamples every arm on its own, and interquartile means.
+"""Interval estimates over seeds: a bootstrap that resamples each arm separately, and interquartile means.
 
 An arm is the runs of one experiment on one robot, a number per seed. Seeds of different arms are not paired: the same
 seed draws different numbers in different methods. The resampling is seeded, so equal runs always give equal intervals.
 
-With three seeds an arm, resampling underestimates how far means spread: ``docs/claims.md`` says by how much.
+With three seeds an arm, resampling underestimates the spread of means: ``docs/claims.md`` shows by how much.
 
 ``scipy.stats`` has both estimates, and the tests compare with it. It is not used here because importing it takes longer
 than judging all claims.
@@ -48,7 +48,7 @@ def iqm(values: Any, axis: int = -1) -> Any:
 
 
 def contrast(arms: Sequence[Sequence[float]], statistic: Callable[..., Any], seed: int = SEED) -> Interval:
-    """``statistic(*arms, axis)`` with its 95 % percentile bootstrap interval, every arm resampled on its own.
+    """``statistic(*arms, axis)`` with its 95 % percentile bootstrap interval; each arm is resampled separately.
 
     ``statistic`` takes arrays of any shape and reduces ``axis`` of each. There is no interval if an arm has fewer than
     two seeds, and no estimate either if an arm is empty or has a value that is not finite.
@@ -76,7 +76,7 @@ def difference(
 ) -> Interval:
     """``statistic`` of ``ours`` minus that of ``reference``, with its interval; see ``contrast``.
 
-    Swapping different arms changes the sign and nothing else: the arms are resampled in an order of their own.
+    Swapping two different arms changes only the sign, because the arms are sorted before they are resampled.
     """
     if tuple(ours) < tuple(reference):
         swapped = difference(reference, ours, statistic, seed)
@@ -97,7 +97,7 @@ def above_best(ours: Sequence[float], others: Sequence[Sequence[float]], seed: i
 
 
 def stratified(strata: Sequence[Sequence[float]], statistic: Callable[..., Any] = iqm, seed: int = SEED) -> Interval:
-    """A statistic of the values of all strata, such as robots, each resampled on its own; see ``contrast``."""
+    """A statistic of the values of all strata, such as robots, each resampled separately; see ``contrast``."""
 
     def of_all(*samples: Any, axis: int) -> Any:
         return statistic(np.concatenate(samples, axis=axis), axis=axis)

@@ -36,7 +36,7 @@ FORMS = {
 
 
 def finished_seeds(names: Iterable[str], env: str, budget: str, root: Path = RESULTS) -> dict[str, list[Path]]:
-    """``experiments.finished`` with every seed of which there is a run, and not the budget's own seeds alone."""
+    """``experiments.finished`` for every seed that has a run, not only for the budget's seeds."""
     names = tuple(names)
     found = {path.name for name in names for path in (root / budget / env / name).glob("seed-*")}
     seeds = sorted(int(name.removeprefix("seed-")) for name in found if name.removeprefix("seed-").isdigit())
@@ -135,7 +135,7 @@ def of_paper(env: str, experiment: str, metric: str) -> str:
 def paper_value(env: str, experiment: str, metric: str, origin: str = paper.PAPER) -> float | None:
     """The paper's number for an experiment; None if it is lost or the experiment is not one of the paper's.
 
-    The only setting that the paper varies with a number of its own is the number of demonstrations.
+    The number of demonstrations is the only varied setting for which the paper gives numbers.
     """
     method, demos = _method_and_demos(experiment)
     return paper.value(env, method, metric, demos, origin) if demos else None

@@ -29,7 +29,7 @@ class Claim(NamedTuple):
     id: str
     sentence: str
     where: str  # in the paper; "ours" for questions
-    robots: tuple[str, ...]  # that the paper claims it of; others are judged too, and marked
+    robots: tuple[str, ...]  # for which the paper makes the claim; verdicts on other robots are marked
     parts: tuple[Part, ...]  # all must hold
     rule: str  # what exactly the sentence means here
 
@@ -59,7 +59,7 @@ class Verdict(NamedTuple):
 
     @property
     def unclaimed(self) -> bool:
-        """True if the paper does not claim it of this robot, or the lemma of this problem."""
+        """True if the paper does not make the claim for this robot, or the lemma for this problem."""
         return self.env not in (SMALL_MDP, *self.claim.robots)
 
 

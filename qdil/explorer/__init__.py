@@ -1,4 +1,4 @@
-"""The archive explorer: click a cell, watch that robot move; in a notebook, in a page of its own, or in a film."""
+"""The archive explorer: click a cell, watch that robot move; in a notebook, on a web page, or in a film."""
 
 import os
 import sys
@@ -41,7 +41,7 @@ def explore(
     ``live`` True gives a widget: it rolls out every clicked elite. False gives a page: it plays about ``recordings``
     episodes, holds a picture for places where scripts may not run, and can be saved (``.save(path)``). None gives a
     widget where a person reads the notebook, and a page elsewhere (papermill, nbconvert, a script). Raises ConfigError
-    for runs that do not exist or do not go together.
+    for runs that do not exist or cannot be shown together.
     """
     archives = showing.read(runs, config)
     first = next((i for i, one in enumerate(archives) if one.plays and len(one.archive["index"])), 0)

@@ -41,7 +41,7 @@ class Scene(NamedTuple):
 
 
 def scene(robot: Shapes, leg: np.ndarray, pose: Pose, touching: np.ndarray) -> Scene:
-    """A robot in ``pose``. ``leg`` (L,) is from ``shown.legs``; ``touching`` (k,) bool says which feet to light."""
+    """A robot in ``pose``. ``leg`` (L,) is from ``shown.legs``; ``touching`` (k,) bool marks the feet to light."""
     ends = shapes.placed(robot, pose).astype(np.float32)
     of_leg = leg[robot.link]
     colour = np.where((of_leg >= 0)[:, None], LEGS[of_leg % len(LEGS)], BODY)

@@ -66,7 +66,7 @@ def render(
 def choose(shown: Shown, count: int) -> list[int]:
     """Cells of ``count`` elites among the best fifth, as different in measures as possible, the best first.
 
-    Raises ConfigError where there are fewer.
+    Raises ConfigError if there are fewer than ``count``.
     """
     archive = shown.archive
     returns, measures = np.asarray(archive["true_return"]), np.asarray(archive["measures"])

@@ -91,7 +91,7 @@ def _channels(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def _continuous(rotation: np.ndarray) -> np.ndarray:
-    """The same rotations (F, L, 4) with signs that never jump: q and -q are one rotation."""
+    """The same rotations (F, L, 4) with signs that keep the numbers continuous: q and -q are one rotation."""
     along = np.sum(rotation[1:] * rotation[:-1], axis=-1, keepdims=True)
     signs = np.cumprod(np.where(along < 0, -1.0, 1.0), axis=0)
     return np.concatenate([rotation[:1], rotation[1:] * signs]).astype(np.float64)

@@ -54,7 +54,7 @@ start().catch((error) => failed(error.message));
 </html>
 """
 
-# For a page of its own. In a notebook's output the picture lies under the page instead.
+# For a page outside a notebook. In a notebook's output the picture lies under the page instead.
 WITHOUT_SCRIPTS = """
 <noscript><p>Scripts are switched off in this browser, so nothing moves here.</p>
 <img src="data:image/png;base64,{picture}" alt="{alt}" style="display:block;max-width:100%"></noscript>"""
@@ -100,8 +100,8 @@ def save(runs: Sequence[Shown], state: dict[str, Any], path: str | Path, recordi
 def page(runs: Sequence[Shown], state: dict[str, Any], recordings: int = RECORDINGS, without: str = "") -> str:
     """A whole HTML document: the explorer of ``runs`` with about ``recordings`` episodes, and nothing to load.
 
-    ``state``: the first choices, as in the widget: ``axes``, and if wanted others than those of START. The episodes
-    are those of ``selected`` and of cells spread over each archive. Together they take at most MOST_BYTES; the page
+    ``state``: values of the widget's traits, ``axes`` and any that differ from START. The episodes are those of
+    ``selected`` and of cells spread over each archive. Together they take at most MOST_BYTES; the page
     gives the number of cells with an episode. ``without``: HTML for browsers that run no scripts.
     """
     state = START | state

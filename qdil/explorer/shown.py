@@ -1,4 +1,4 @@
-"""What the explorer shows: archives from run folders or from memory, checked; and as JSON for the front end."""
+"""The archives that the explorer shows, from run folders or from memory, checked; and as JSON for the front end."""
 
 import json
 from collections.abc import Mapping, Sequence

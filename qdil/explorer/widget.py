@@ -23,7 +23,7 @@ from qdil.explorer.shown import Shown
 
 FIELDS = {"True return": "true_return", "Learned fitness": "fitness", "Learned fitness − true return": "difference"}
 MOST = 4  # robots side by side
-PICTURES = 200  # at most, that the play button shows of a whole run; as in the front end
+PICTURES = 200  # the most that the play button shows of a run; the same number as in the front end
 KEPT = 512  # packed rollouts that a widget remembers, a few kilobytes each
 
 
@@ -81,7 +81,7 @@ class View(anywidget.AnyWidget):
             content = self._packed(int(message["run"]), int(message["cell"]))
         except ConfigError as error:
             self.send({"type": "refused", "why": str(error), **which})
-        except Exception as error:  # any error: the page waits for an answer, and nobody reads the kernel's log
+        except Exception as error:  # any error: the page waits for an answer, and the kernel's log is hidden
             why = f"The rollout failed in the kernel ({type(error).__name__}: {error})"
             self.send({"type": "refused", "why": why, **which})
         else:
@@ -158,7 +158,7 @@ class Explorer(ipywidgets.VBox):
         return [(self.runs[number].name, int(cell)) for number, cell in self.view.selected]
 
     def save(self, path: str | Path, recordings: int | None = None) -> Path:
-        """Write the explorer as a page of its own; see ``page.save``."""
+        """Write the explorer as a web page; see ``page.save``."""
         from qdil.explorer.page import RECORDINGS, save
 
         return save(self.runs, self._state(), path, RECORDINGS if recordings is None else recordings)

@@ -1,1 +1,1 @@
-"""What stands in for the reward: demonstrations, reward models, the measure bonus."""
+"""Learned rewards: demonstrations, reward models, the measure bonus."""

@@ -49,7 +49,7 @@ def measure_bonus(
 ) -> jax.Array:
     """r_diversity (T, E) of eq. 2, reward per step, for every step of a rollout.
 
-    ``p`` and ``q`` ≥ 0 weigh being alive and reaching empty cells. ``scope`` says whose measure m is: the step's
-    "episode" (the paper's) or its "rollout" (the released program's). Raises KeyError for any other scope.
+    ``p`` ≥ 0 is the reward for being alive, ``q`` ≥ 0 that for reaching an empty cell. ``scope`` selects the measure m:
+    that of the step's "episode" (paper) or of its "rollout" (released program). Raises KeyError for any other scope.
     """
     return p + q * is_empty(occupied, SCOPES[scope](transitions))

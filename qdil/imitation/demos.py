@@ -34,7 +34,7 @@ def record(
 
     ``elites`` has ``solution`` (n, P), ``obs_mean`` and ``obs_std`` (n, O); ``template`` is a tree of a policy's
     parameters. Returns columns (N, …) by name; ``episode`` (N,) numbers the episode of each row. ``episode_return``
-    (n,) and ``episode_measures`` (n, k) are whole episodes'.
+    (n,) and ``episode_measures`` (n, k) are those of whole episodes.
     """
     policies = jax.vmap(lambda t: networks.unflatten(t, template))(jnp.asarray(elites["solution"]))
     normaliser = Normaliser(jnp.asarray(elites["obs_mean"]), jnp.asarray(elites["obs_std"]))
@@ -76,8 +76,8 @@ def load(
 
     With ``needs_actions`` False, a file without an ``action`` column, or with one of width 0, is accepted.
     ``alignment`` "shifted" pairs states and actions as the authors' released program does (``shifted``), with delays
-    drawn from ``seed``. ``episodes`` is the number that the file must hold; files whose rows do not say to which
-    episode they belong are not counted.
+    drawn from ``seed``. ``episodes`` is the number that the file must hold; it is not checked in a file without an
+    ``episode`` column.
 
     Raises ValueError in one sentence for a missing or unreadable file, for demonstrations of another robot or backend,
     for missing columns, unequal numbers of rows, no rows, another number of episodes, or numbers that are not finite.
@@ -104,7 +104,7 @@ def _columns(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
-    except Exception as error:  # zipfile, zlib and numpy each raise errors of their own for other files
+    except Exception as error:  # zipfile, zlib and numpy raise errors of different types for other files
         raise ValueError(f"{path} is damaged or not a demonstrations file ({type(error).__name__}).") from None
     missing = [name for name in (*needed, "robot", "backend") if name not in data]
     if missing == ["action"]:

@@ -1,8 +1,8 @@
 """The fitness reward that VPPO maximises (eq. 4), episode scores, and one round of the reward model's learning.
 
 The fitness reward is the reward model's reward plus the measure bonus. Candidates, however, are scored by the reward
-model alone (Algorithm 1, line 11): ``score_chunk``. Not to be confused with the true reward, which is the environment's
-own and which no imitating model reads.
+model alone (Algorithm 1, line 11): ``score_chunk``. The fitness reward is not the true reward, which is the
+environment's own and which no imitating model reads.
 """
 
 import jax

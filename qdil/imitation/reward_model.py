@@ -1,8 +1,8 @@
 """Reward models as values of pure functions, the inputs that they read, and the transformations that make variants.
 
-An author writes an ``InputModel``, a function of normalised inputs. ``over_inputs`` turns it into a ``RewardModel``,
-which reads transitions, and hides from it what a variant must not see. ``reward_model`` builds the one that a
-configuration names. Also known as a reward function or, in GAIL, as part of the discriminator.
+An author writes an ``InputModel``, a function of normalised inputs. ``over_inputs`` makes it a ``RewardModel``, which
+reads transitions, and hides the inputs that a variant must not see. ``reward_model`` builds the model of a
+configuration. A reward model is also known as a reward function or, in GAIL, as part of the discriminator.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ class Inputs(NamedTuple):
 
 
 class Demonstrations(NamedTuple):
-    """Expert steps of all demonstrated episodes, one row per step (N): what belongs to the same step t."""
+    """Expert steps of all demonstrated episodes, one row per step (N); a row's fields belong to the same step t."""
 
     obs: jax.Array  # (N, O) s_t as the robot reported it, not normalised
     action: jax.Array  # (N, A) a_t; width 0 where the demonstrator's actions are not known
@@ -54,7 +54,7 @@ def learns_nothing(key: jax.Array, state: RewardState, *data: Any) -> tuple[Rewa
 class RewardModel(NamedTuple):
     """r(s, a, s', δ) as a value of four pure functions; state and memory are trees of arrays.
 
-    ``init(key, demonstrations) -> state``: before the run; None for demonstrations if the model imitates nobody;
+    ``init(key, demonstrations) -> state``: before the run; demonstrations are None for a model that does not imitate;
     ``reward(state, memory, context, transitions) -> (memory, r)``: r (T, E) for transitions (T, E), without bonus;
     ``begin(state, num_envs) -> memory``: what the model remembers within episodes, axis (E) in front; () for most;
     ``update(key, state, context, demonstrations, transitions) -> (state, info)``: one round of learning.
@@ -85,8 +85,8 @@ class InputModel(NamedTuple):
     reward: Callable[[RewardState, RewardMemory, Inputs, jax.Array], tuple[RewardMemory, jax.Array]]
     begin: Callable[[RewardState, int], RewardMemory] = no_memory
     update: Callable[..., tuple[RewardState, Info]] = learns_nothing
-    # Whose mean and spread normalise both expert and policy observations: "running", the policy's, which change during
-    # the run; or "expert", the demonstrations', which do not, for models that learn before the run or not at all.
+    # The mean and spread that normalise both expert and policy observations. "running": the policy's, which change
+    # during the run. "expert": the demonstrations', which do not; for models that learn before the run or not at all.
     normaliser: str = "running"
 
 
@@ -134,7 +134,7 @@ def over_inputs(model: InputModel, select: Select, raw_expert: bool = False) -> 
     """
 
     def expert_rows(demos: Demonstrations, normaliser: Normaliser) -> Inputs:
-        # Not a normaliser of mean 0 and spread 1: it would clip the recorded numbers.
+        # Raw rows bypass the normaliser. One of mean 0 and spread 1 would clip them.
         recorded = Inputs(demos.obs, demos.action, demos.next_obs, demos.proxy)
         return select(recorded if raw_expert else expert_inputs(demos, normaliser))
 

@@ -6,7 +6,7 @@ import numpy as np
 def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
     """Indices of the best elites by ``fitness`` (N,), best first.
 
-    There are as many as a fifth of the archive's ``cells``: 500 in the paper, of 2500.
+    Their number is a fifth of the archive's ``cells``: 500 of 2500 in the paper.
     """
     return np.argsort(-fitness, kind="stable")[: max(1, cells // 5)]
 
@@ -14,8 +14,8 @@ def top_fifth(fitness: np.ndarray, cells: int) -> np.ndarray:
 def farthest_points(measures: np.ndarray, count: int) -> np.ndarray:
     """Indices (count,) of diverse ``measures`` (N, k): the first, then always the one farthest from all chosen ones.
 
-    "Farthest" means the largest distance to the nearest chosen point. Also known as farthest-first traversal. The paper
-    asks for demonstrations "as diverse as possible" and gives no rule. Raises ValueError if N < ``count``.
+    "Farthest" means the largest distance to the nearest chosen point. This is farthest-first traversal. The paper asks
+    for demonstrations "as diverse as possible" and gives no rule. Raises ValueError if N < ``count``.
     """
     if len(measures) < count:
         raise ValueError(f"{count} demonstrations were asked for, but there are only {len(measures)} elites.")

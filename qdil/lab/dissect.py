@@ -1,4 +1,4 @@
-"""A QD iteration of PPGA taken apart: a search after its warm-up, policies compared, the path of θ_μ."""
+"""The parts of a QD iteration of PPGA: a search after its warm-up, policies compared, the path of θ_μ."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""The rewards of one reward model for steps of known kinds, closer than a whole run shows them.
+"""The rewards that one reward model gives to steps of known kinds, in more detail than a whole run shows.
 
 The model learns briefly from demonstrations and then rewards steps that were demonstrated, held out, given other
 actions, or taken by an untrained policy. Or it learns from any rows, such as points in a plane, round by round.
@@ -122,7 +122,7 @@ def actions_explained(split: Split, names: Sequence[str]) -> dict[str, float]:
     """The share of the actions' variance that a linear function of some fields explains, by kind of steps.
 
     ``names`` are fields of ``Demonstrations``. The function is fitted to ``split.learned`` by ridge regression
-    (``RIDGE`` per row, every column divided by its deviation), so that few rows are not fitted by accident. Shares are
+    (``RIDGE`` per row, every column divided by its deviation), so that it does not overfit a few rows. Shares are
     at most 1, and negative if a constant explains more.
     """
     held_out = Demonstrations(*(getattr(split.held_out, name)[:, 0] for name in Demonstrations._fields))
@@ -169,7 +169,7 @@ def compare_rewards(rewards: Mapping[str, Mapping[str, np.ndarray]], against: st
 
 
 class Learned(NamedTuple):
-    """A reward model that has learned from rows, and its reports while it learned."""
+    """A reward model that has learned from rows, and its measurements while it learned."""
 
     model: InputModel
     state: Any

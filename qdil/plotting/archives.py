@@ -164,7 +164,7 @@ def behaviour_space(expert: Mapping[str, Any], demos: Mapping[str, Any], robot: 
     """The demonstrators among the expert's elites (Fig. 4).
 
     ``expert`` is an archive as in ``heatmap`` with ``measures`` (n, k) and ``true_return`` (n,); ``demos`` has
-    ``elite_measures`` (d, k) of the demonstrators, as the demonstrations file does. Raises ValueError if it has not.
+    ``elite_measures`` (d, k) of the demonstrators, as the demonstrations file does. Raises ValueError without them.
     """
     if "elite_measures" not in demos:
         raise ValueError("these demonstrations have no elite_measures: their elites' places are not known.")

@@ -2,7 +2,7 @@
 
 Methods that a study draws together have colours that differ with any kind of colour vision (the tests simulate three
 kinds of deficiency). Each base also has a marker, filled according to the prefix. Where a figure draws one method under
-several settings, each setting has a dash and a marker of its own.
+several settings, each setting has its own dash and marker.
 """
 
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
 YELLOW, BLUE, RED, PINK = "#f0e442", "#0072b2", "#d55e00", "#cc79a7"
 GREY = "#999999"
 EMPTY = "0.87"  # grey of an empty cell
-SERIES = (BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK)  # of lines, boxes and points without a colour of their own
+SERIES = (BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK)  # of lines, boxes and points that have no colour otherwise
 FEET = (RED, BLUE, GREEN, PINK, ORANGE, SKY)  # foot 1, foot 2, …; a robot has at most six
 
 METHOD_COLOURS = {
@@ -53,7 +53,7 @@ DASHES: tuple[Any, ...] = (
     (0, (3, 1, 1, 1, 1, 1)),
 )
 MARKERS_OF_SETTINGS = ("o", "s", "^", "v", "D", "P", "X", "<", ">", "*", "p", "h", "d")
-MANY = 5  # from so many settings of one method in one figure on, each setting has a colour of its own
+MANY = 5  # with at least so many settings of one method in a figure, each setting has its own colour
 SETTING_COLOURS = ("#332288", SKY, "#117733", "#ddaa33", "#aa4499", "#999933", "#882255", "#44aa99", "#777777")
 
 
@@ -89,7 +89,7 @@ def styles(experiments: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Arguments of ``Axes.plot`` for every experiment of one figure; no two experiments get the same.
 
     A method has its colour and its base's marker, and is dashed if its reward is the true one. Each experiment with
-    changed settings has a dash and a marker of its own and, from ``MANY`` experiments of one method on, a colour.
+    changed settings has its own dash and marker; if a method has ``MANY`` of them, also its own colour.
     """
     names = list(dict.fromkeys(experiments))
     methods = {name: name.split("+")[0] for name in names}

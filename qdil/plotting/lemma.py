@@ -75,7 +75,7 @@ def group_colours() -> dict[str, str]:
 def assumption(trials: Mapping[str, "Improvements"]) -> Figure:
     """The change of P against the change of the objective, a dot per trial and a panel per name.
 
-    The lemma is about the right half, where the objective rose; it says that trials there lie in the upper quadrant.
+    The lemma is about the right half, where the objective rose; it states that these trials lie in the upper quadrant.
     """
     from qdil.lab.lemma.trials import group
 

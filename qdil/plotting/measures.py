@@ -34,7 +34,7 @@ def measure_panels(
     """A figure with ``count`` measure spaces of k measures, and the axes of each.
 
     ``size`` is the width and height in inches of a space of two measures, and ``in_a_row`` the most of them side by
-    side; strips and triangles have sizes of their own. ``margin`` is added to the figure's width and height for
+    side; strips and triangles have their own sizes. ``margin`` is added to the figure's width and height for
     legends and colour bars (to the height alone for strips). Only the outer axes have labels. Raises ValueError for a
     ``count`` of 0.
     """
@@ -43,7 +43,7 @@ def measure_panels(
     (width, height), most = _size(k, size, in_a_row)
     rows = math.ceil(count / most)
     columns = math.ceil(count / rows)
-    beside = margin[0] if k > 1 else 0.0  # a strip that is wider is also higher, and leaves its title no room
+    beside = margin[0] if k > 1 else 0.0  # a wider strip is also higher, which leaves no room for its title
     figure = Figure(figsize=(width * columns + beside, height * rows + margin[1]))
     squares = max(1, k - 1)  # of a triangle, in each direction
     grid = figure.subplots(rows * squares, columns * squares, squeeze=False)

@@ -1,4 +1,4 @@
-"""The idea: a behaviour space, the two problems of imitating diversity, and the framework (Figs. 1-3).
+"""The paper's idea: a behaviour space, the two problems of imitating diversity, and the framework (Figs. 1-3).
 
 These figures show the small model of ``concepts`` and a diagram. They do not show results of runs.
 """

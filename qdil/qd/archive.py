@@ -8,7 +8,7 @@ from ribs.archives import GridArchive
 
 from qdil.qd.cells import EDGE
 
-EXTRA = ("true_return", "length", "obs_mean", "obs_std")  # what a result elite carries beyond pyribs' own fields
+EXTRA = ("true_return", "length", "obs_mean", "obs_std")  # fields of a result elite besides pyribs' own
 
 
 class Candidates(NamedTuple):
@@ -17,7 +17,7 @@ class Candidates(NamedTuple):
     theta: np.ndarray  # (λ, P) flat parameters
     obs_mean: np.ndarray  # (λ, O) the observation normaliser under which each was evaluated
     obs_std: np.ndarray  # (λ, O)
-    fitness: np.ndarray  # (λ,) what the archives compete on
+    fitness: np.ndarray  # (λ,) the score that the archives compare
     true_return: np.ndarray  # (λ,) mean return in the environment's own reward
     measures: np.ndarray  # (λ, k) mean over episodes of each episode's mean δ
     length: np.ndarray  # (λ,) mean episode length, steps
@@ -49,7 +49,7 @@ def make(cells: int, k: int, theta_size: int, obs_size: int, learning_rate: floa
 
 
 def add(archives: Archives, candidates: Candidates) -> tuple[Archives, np.ndarray]:
-    """Insert what is finite into copies of both archives (Algorithm 2).
+    """Insert the finite candidates into copies of both archives (Algorithm 2).
 
     Returns the copies and each candidate's improvement Δ (λ,): f_i − t_e where the soft archive accepted the
     candidate, else 0.
@@ -68,7 +68,7 @@ def add(archives: Archives, candidates: Candidates) -> tuple[Archives, np.ndarra
 
 
 def usable(candidates: Candidates) -> np.ndarray:
-    """Which candidates (λ,) may enter: the physics stayed finite, and so is all that an elite would keep."""
+    """Which candidates (λ,) may enter: their physics stayed finite, and so are all numbers that an elite would keep."""
     fields = [values for name, values in candidates._asdict().items() if name != "finite"]
     sound = [np.isfinite(values).reshape(len(values), -1).all(axis=1) for values in fields]
     return candidates.finite & np.all(sound, axis=0)
@@ -82,9 +82,9 @@ def occupied(archives: Archives) -> np.ndarray:
 
 
 def random_elite(archives: Archives, rng: np.random.Generator) -> dict[str, np.ndarray] | None:
-    """The elite of a cell drawn evenly from those that the soft archive has accepted; None before the first.
+    """The elite of a random cell, drawn uniformly from those that the soft archive has filled; None if it is empty.
 
-    Elites below ``threshold_min`` are in the result archive alone and no place to start from.
+    Elites below ``threshold_min`` are only in the result archive, and the search does not restart from them.
     """
     elites = elite_arrays(archives)
     rows = np.flatnonzero(np.isin(elites["index"], archives.soft.data("index")))
@@ -121,8 +121,8 @@ def content(grid: GridArchive) -> dict[str, np.ndarray]:
 def refill(grid: GridArchive, rows: dict[str, np.ndarray]) -> None:
     """Put ``content`` back into an empty grid, bit by bit.
 
-    pyribs has no public way to set a threshold, and adding the elites anew would only come near it. Its running
-    statistics (``stats``, ``best_elite``), which nothing here reads, do not come back.
+    pyribs has no public way to set a threshold, and adding the elites again would only approximate the old one. Its
+    running statistics (``stats``, ``best_elite``) are not restored; nothing here reads them.
     """
     grid._store.add(rows["index"], {name: values for name, values in rows.items() if name != "index"})
 

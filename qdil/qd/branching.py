@@ -17,8 +17,8 @@ def branch(
 
     ``policy`` is θ_μ; ``theta`` (1+k, P) are its copies after N1 updates, the first on the fitness reward, copy j on
     δ_j. A copy's difference to θ_μ, scaled to unit length, is its row of the Jacobian. ``coefficients`` (λ, 1+k) are
-    xNES' samples; fitness is never minimised (section 4.1), so c_0 counts by its size. Every candidate takes the
-    search's ``normaliser`` with it.
+    xNES' samples; fitness is never minimised (section 4.1), so its weight is |c_0|. Every candidate keeps a copy
+    of the search's ``normaliser``.
     """
     theta_mu = networks.flatten(policy)
     difference = theta - theta_mu

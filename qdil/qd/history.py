@@ -1,4 +1,4 @@
-"""The history of an archive: when each cell got its elites, so that its filling can be replayed."""
+"""The history of an archive: the iteration of every new elite, so that the filling of the archive can be replayed."""
 
 from typing import NamedTuple
 
@@ -34,7 +34,6 @@ def snapshot(history: History, iteration: int, cells: int) -> dict[str, np.ndarr
     grids = {}
     for name in ("true_return", "fitness"):
         grids[name] = np.full(cells, np.nan, np.float32)
-        grids[name][history.cell[:until]] = getattr(history, name)[
-            :until
-        ]  # of several elites of a cell, the last stays
+        # If a cell had several elites, the assignment keeps the last.
+        grids[name][history.cell[:until]] = getattr(history, name)[:until]
     return grids

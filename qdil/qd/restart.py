@@ -1,4 +1,4 @@
-"""Restart (Algorithm 1, lines 19-22): the search goes on from a random elite when an iteration added nothing."""
+"""Restart (Algorithm 1, lines 19-22): if an iteration added nothing, the search continues from a random elite."""
 
 import jax
 import jax.numpy as jnp

@@ -39,7 +39,7 @@ class XNES(EvolutionStrategyBase):
 
     All samples count, weighted by ``utilities``; ``num_parents`` is ignored. Learning rates are that paper's: 1 for
     the mean, (9 + 3 log d) / (5 d √d) for σ and B. Its state is ``mean`` (d,), ``sigma`` and ``shape`` B (d, d) with
-    determinant 1. Unbounded: bounds other than infinite are refused with ValueError.
+    determinant 1. The search space is unbounded: finite bounds raise ValueError.
     """
 
     def __init__(

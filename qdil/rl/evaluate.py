@@ -1,8 +1,8 @@
 """Scoring candidates over whole episodes, in chunks that stop as soon as every robot has fallen or timed out.
 
-The simulation knows nothing of rewards, so one compiled program serves every method: ``begin``, then ``advance`` and a
-reward model's own scoring until no episode is unfinished, then ``finish``. Episodes have axis (E) with E = λ·n: n
-episodes of each of λ candidates, those of one candidate side by side.
+The simulation does not depend on rewards, so one compiled program serves every method. The order of calls is ``begin``,
+then ``advance`` and the reward model's scoring until every episode is finished, then ``finish``. Episodes have axis (E)
+with E = λ·n: n episodes of each of λ candidates, those of one candidate side by side.
 """
 
 from functools import partial
@@ -59,7 +59,7 @@ class Tally(NamedTuple):
 class RewardSum(NamedTuple):
     """A reward model's rewards so far, axis (E) in front."""
 
-    memory: RewardMemory  # what it remembers within episodes
+    memory: RewardMemory  # what the model remembers within episodes
     fitness: jax.Array  # (E,) sum of its rewards
 
 
@@ -76,8 +76,8 @@ def advance(
 ) -> tuple[EnvBatch, Tally, Transitions, jax.Array]:
     """Simulate ``eval_chunks_per_sync`` chunks of all unfinished episodes.
 
-    Each policy acts under its own observation statistics. Returns C chunks of transitions (C, T, E) and which of their
-    steps ``counted`` (C, T, E): those of unfinished episodes that had a place in the chunk.
+    Each policy acts under its own observation statistics. Returns C chunks of transitions (C, T, E), and ``counted``
+    (C, T, E), which is True for steps of unfinished episodes that the chunk simulated.
     """
 
     def unflatten(theta: jax.Array) -> Params:
@@ -113,13 +113,13 @@ def sum_counted(rewards: jax.Array, counted: jax.Array) -> jax.Array:
 def _chunk(env: Environment, evaluation: Evaluation, policies: Policies, envs: EnvBatch, tally: Tally):
     """One chunk of steps of unfinished episodes, in full batches.
 
-    An incomplete batch waits for the next chunk and goes first then, so that no batch but the last one simulates
-    finished episodes.
+    Unfinished episodes that do not fill a batch wait and go first in the next chunk. So no batch but the very last
+    simulates finished episodes.
     """
     count, unfinished = len(tally.unfinished), jnp.sum(tally.unfinished)
     most = min(evaluation.eval_batch_size, count)
     size = max(size for size in range(1, most + 1) if count % size == 0)
-    # Unfinished episodes first, and of them the shortest: those that waited last time are not left behind.
+    # Unfinished episodes come first, the shortest at the front: these are the episodes that waited in the last chunk.
     order = jnp.argsort(jnp.where(tally.unfinished, tally.length, jnp.inf), stable=True)
     begun = (envs, tally.unfinished, tally.finite)
 
@@ -132,8 +132,8 @@ def _chunk(env: Environment, evaluation: Evaluation, policies: Policies, envs: E
         state, seen = carry
         rows = jax.lax.dynamic_slice_in_dim(order, i * size, size)
         after, steps = simulate(rows, state)
-        state = jax.tree.map(lambda whole, part: whole.at[rows].set(part), state, after)
-        return state, jax.tree.map(lambda whole, part: whole.at[:, rows].set(part), seen, steps)
+        state = jax.tree.map(lambda old, new: old.at[rows].set(new), state, after)
+        return state, jax.tree.map(lambda old, new: old.at[:, rows].set(new), seen, steps)
 
     shapes = jax.eval_shape(lambda: simulate(order, begun)[1])
     unseen = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
@@ -169,11 +169,11 @@ def _drive(
         truncated = (steps >= limit) & ~outcome.terminated
         record = transition(robot, action, after, outcome, truncated, proxy_sum / steps[:, None])
         finite = finite & (outcome.finite | ~unfinished)
-        still = unfinished & ~outcome.terminated & ~truncated
-        frozen = jax.tree.map(partial(jnp.where, still), after, robot)
-        return (frozen, steps, proxy_sum, still, finite), (record, unfinished)
+        continues = unfinished & ~outcome.terminated & ~truncated
+        frozen = jax.tree.map(partial(jnp.where, continues), after, robot)
+        return (frozen, steps, proxy_sum, continues, finite), (record, unfinished)
 
-    # XLA leaves the noise out where the mean acts.
+    # If the policy acts by its mean, XLA removes the noise.
     noise = action_noise(noise_key, evaluation.eval_chunk_steps, env.action_size)
     begun = (to_batch_last(envs.robot), envs.steps, envs.proxy_sum, unfinished, finite)
     (robot, steps, proxy_sum, unfinished, finite), seen = jax.lax.scan(step, begun, noise)

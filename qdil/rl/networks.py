@@ -55,7 +55,7 @@ def columns(x: jax.Array) -> jax.Array:
 
 
 def as_columns(x: jax.Array) -> jax.Array:
-    """``columns`` also in memory: without the barrier XLA would only relabel them."""
+    """``columns`` that are also contiguous in memory: without the barrier XLA would only change the array's layout."""
     return jax.lax.optimization_barrier(columns(x))
 
 
@@ -91,7 +91,8 @@ def log_prob(params: Params, mean: jax.Array, raw_action: jax.Array) -> jax.Arra
 def log_prob_of_columns(params: Params, mean: jax.Array, raw_action: jax.Array) -> jax.Array:
     """``log_prob`` (n,) of actions and means that are columns (A, n).
 
-    The sum is a product with a row of ones: a CPU takes half of a large matrix product's time to reduce so few rows.
+    The sum is a product with a row of ones. A reduction over so few rows takes half as long as a large matrix product
+    on a CPU.
     """
     z = (raw_action - mean) * jnp.exp(-params["log_std"])[:, None]
     ones = jnp.ones(len(z))

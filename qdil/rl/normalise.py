@@ -18,7 +18,7 @@ def init_obs_stats(obs_size: int) -> ObsStats:
 
 
 def update_obs_stats(stats: ObsStats, obs: jax.Array, axis: str | None = AXIS) -> ObsStats:
-    """Fold a batch ``obs`` (..., O) in (Chan et al.'s parallel Welford), over every device of ``axis``."""
+    """Add a batch ``obs`` (..., O) from every device of ``axis`` (Chan et al.'s parallel form of Welford's sums)."""
     obs = obs.reshape(-1, obs.shape[-1])
     mean, size = jnp.mean(obs, axis=0), jnp.asarray(obs.shape[0], jnp.float32)
     if axis is not None:

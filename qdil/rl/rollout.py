@@ -28,8 +28,8 @@ class EnvBatch(NamedTuple):
 def start(env: Environment, key: jax.Array, episode_length: int, in_step: bool = True) -> EnvBatch:
     """Begin one episode of ``episode_length`` steps per key (E,).
 
-    With ``in_step`` False the first episodes have random limits instead, so that the robots of a training rollout are
-    in all parts of their episodes from then on; otherwise robots that never fall would go through them together.
+    With ``in_step`` False the first episodes have random time limits instead. From then on the robots of a training
+    rollout are in different parts of their episodes. Otherwise robots that never fall would all be at the same step.
     """
     key, reset_key = split_each(key)
     robot = jax.vmap(env.reset)(reset_key)
@@ -97,8 +97,8 @@ def rollout(
 ) -> tuple[EnvBatch, Transitions, ActionSample]:
     """Drive every robot for ``length`` steps, starting a new random episode wherever one ends.
 
-    One start state is drawn per robot and rollout, since a reset costs as much as a step: a robot whose episodes end
-    twice within a rollout starts from there twice. (Brax's own wrapper starts all episodes of a robot at its first.)
+    One start state is drawn per robot and rollout, since a reset costs as much as a step. If two episodes of a robot
+    end within a rollout, the next two start from the same state. (With Brax's own wrapper, all episodes of a robot do.)
 
     A fall is ``terminated``, the step of a robot's time limit ``truncated``; new episodes may last ``episode_length``
     steps. ``next_obs`` is the episode's own last observation, not the reset one. Returns the robots after the rollout

@@ -96,7 +96,7 @@ def first_copy(train_state: TrainState, stats: ObsStats) -> tuple[TrainState, ja
 
 
 def discard_update(envs: EnvBatch, policy: Params, copies: int) -> tuple[EnvBatch, jax.Array]:
-    """Robots as they were before a training phase that went wrong, with new noise; and θ_μ for every copy (K, P)."""
+    """The robots before a training phase that is discarded, with new noise; and θ_μ for every copy (K, P)."""
     key, _ = split_each(envs.key)
     return envs._replace(key=key), jnp.tile(networks.flatten(policy), (copies, 1))
 
@@ -155,7 +155,7 @@ def learn(
 ) -> tuple[TrainState, ObsStats, Info]:
     """K copies learn from a rollout for up to ``epochs`` passes; the observation statistics move, too.
 
-    ``key`` shuffles, the same on every device. Runs inside ``shard_map``.
+    ``key``, the same on every device, shuffles the time steps. Runs inside ``shard_map``.
     """
     copies = weighting.weights.shape[0]
     steps, sample, fitness = experience
@@ -185,8 +185,8 @@ def _prepare(
     ppo: PPO,
 ) -> tuple[TrainState, Batch]:
     """Advantages and return targets of all copies' rollouts (K, T, E/K, …); moves their return statistics."""
-    each = jax.vmap(_values_and_gae, in_axes=(0, 0, 0, None, None))
-    obs, value, advantages, returns = each(train_state, transitions, rewards, stats, ppo)
+    per_copy = jax.vmap(_values_and_gae, in_axes=(0, 0, 0, None, None))
+    obs, value, advantages, returns = per_copy(train_state, transitions, rewards, stats, ppo)
     mean = _pmean(jnp.mean(returns, axis=(1, 2)), weighting.tied)
     square = _pmean(jnp.mean(jnp.square(returns), axis=(1, 2)), weighting.tied)
     after = jax.vmap(update_return_stats)(train_state.returns, mean, square)
@@ -222,8 +222,8 @@ def gae(
 ) -> jax.Array:
     """Generalised advantage estimates, axis (T) in front; ``next_values`` are of the true next observation.
 
-    A fall (terminated) has no future; a time limit (truncated) bootstraps from the value of its last state.
-    Neither lets the following episode's advantages through.
+    After a fall (terminated) the value is 0; a time limit (truncated) bootstraps from the value of the last state.
+    Advantages of the next episode do not flow back across either.
     """
     deltas = rewards + gamma * next_values * (1.0 - terminated) - values
     carries_on = (1.0 - terminated) * (1.0 - truncated)
@@ -265,10 +265,10 @@ def _train_epochs(
 
 
 def _shuffled(batch: Batch, order: jax.Array, minibatches: int) -> Batch:
-    """Cut (K, T, E) data into minibatches (M, K, T/M, E), the moments of time in random ``order`` (T,).
+    """Cut (K, T, E) data into minibatches (M, K, T/M, E), the time steps in random ``order`` (T,).
 
-    All robots share the order, so that whole rows move: a minibatch holds some moments of every robot. Robots are out
-    of step, so the moments are of all parts of their episodes.
+    All robots share the order, so that whole rows move: a minibatch holds the same time steps of every robot. Robots
+    are in different parts of their episodes, so a minibatch still covers all parts.
     """
 
     def cut(x: jax.Array) -> jax.Array:
@@ -305,7 +305,7 @@ def _minibatch_step(train_state: TrainState, batch: Batch, tied: jax.Array, ppo:
         )
 
     per_copy = jax.vmap(gradients)(train_state.policy, train_state.critic, batch)
-    rows, from_rows = _as_rows(per_copy)  # one message crosses the devices
+    rows, from_rows = _as_rows(per_copy)  # so that the devices exchange a single array
     grads, approx_kl = from_rows(_pmean(rows, tied))
     return jax.vmap(step)(train_state, grads), approx_kl
 
@@ -330,7 +330,7 @@ def loss(policy: Params, critic: Params, batch: Batch, ppo: PPO) -> tuple[jax.Ar
 
 def _pmean(x: jax.Array, tied: jax.Array) -> jax.Array:
     """Mean of (K, …) over the devices, and over the copies too where they are tied."""
-    # A sum of rows: XLA's reduction over so few is slow on a CPU.
+    # ``sum`` adds row by row, because XLA's reduction over so few rows is slow on a CPU.
     return jax.lax.pmean(jnp.where(tied, sum(x) / len(x), x), AXIS)
 
 

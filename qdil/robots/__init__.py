@@ -1,1 +1,1 @@
-"""Robots: what a robot is to this project, which there are, and the only modules that use Brax."""
+"""Robots: the ``Environment`` type, the register of robots, and the only modules that use Brax."""

@@ -30,8 +30,8 @@ Step = Callable[[RobotState, jax.Array], tuple[RobotState, Outcome]]
 def foot_links(robot: Robot, mj: Any) -> list[int]:
     """The link index of each of a robot's feet (k,), in their order; link i is body i + 1 of the MuJoCo model ``mj``.
 
-    A foot is given by the name of its link, or of a collision shape of its link. Raises ConfigError for a name that is
-    not that of exactly one link, with the names there are, and for two feet that are the same link.
+    A foot is given by the name of its link, or of a collision shape of its link. Raises ConfigError if a name does not
+    belong to exactly one link (the message lists all names), and if two feet are the same link.
     """
     named = [(mj.body(i).name, i - 1) for i in range(1, mj.nbody)]
     named += [(mj.geom(i).name, int(mj.geom_bodyid[i]) - 1) for i in range(mj.ngeom) if mj.geom_bodyid[i] > 0]
@@ -67,7 +67,7 @@ def _quiet() -> Iterator[None]:
 def model(robot: Robot) -> Any:
     """The MuJoCo model (``mujoco.MjModel``) of a robot: its links, shapes and joints.
 
-    Raises ConfigError for an environment of a user's own, which has none, and for an unknown Brax environment.
+    Raises ConfigError for a user's own environment, which has none, and for an unknown Brax environment.
     """
     return _brax_env(robot, BACKENDS[0]).sys.mj_model
 
@@ -175,7 +175,7 @@ def _proxy(env: Any, feet: jax.Array, touches: float) -> Callable[[Any], jax.Arr
 
 
 def _step(env: Any, proxy: Callable[[Any], jax.Array], metrics: tuple[str, ...]) -> Step:
-    """One step of a Brax environment as an ``Environment`` does it; Brax wants its ``metrics``, which we do not use."""
+    """One step of a Brax environment as ``Environment.step``. Brax needs ``metrics`` in its state; they are unused."""
     with _quiet():
         from brax.envs.base import State
 

@@ -18,7 +18,7 @@ class Outcome(NamedTuple):
     """What one step yields besides the next state."""
 
     reward: jax.Array  # () the environment's own ("true") reward, finite
-    terminated: jax.Array  # () bool, the episode ended by itself (a fall); the time limit is not the robot's concern
+    terminated: jax.Array  # () bool, the episode ended by itself (a fall); rollouts apply the time limit
     finite: jax.Array  # () bool, False if the physics diverged, and then ``terminated`` is True
 
 

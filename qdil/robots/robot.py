@@ -11,7 +11,7 @@ BACKENDS = ("spring", "positional", "generalized", "mjx")  # Brax's simulators, 
 
 
 class Robot(NamedTuple):
-    """A robot of Brax and which of its links are feet; or, with ``environment``, a simulated robot of a user's own."""
+    """A robot of Brax and which of its links are feet; or, with ``environment``, a user's own simulated robot."""
 
     name: str
     brax_env: str | None  # its name among Brax's environments

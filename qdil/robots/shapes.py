@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
 @cache
 def shapes(name: str) -> Shapes:
-    """The capsules of a robot. Raises ConfigError for an unknown robot and for an environment of a user's own."""
+    """The capsules of a robot. Raises ConfigError for an unknown robot and for a user's own environment."""
     robot = register.find(name)
     mj = model(robot)
     kept = np.flatnonzero((mj.geom_bodyid > 0) & np.isin(mj.geom_type, (CAPSULE, SPHERE)))
@@ -57,8 +57,8 @@ def first_pose(name: str) -> Pose:
 
 def placed(robot: Shapes, pose: Pose) -> np.ndarray:
     """The ends (G, 2, 3) of a robot's capsules in world coordinates, metres."""
-    turned = rotated(pose.rotation[robot.link, None], robot.ends)
-    return turned + pose.position[robot.link, None]
+    ends = rotated(pose.rotation[robot.link, None], robot.ends)
+    return ends + pose.position[robot.link, None]
 
 
 def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:

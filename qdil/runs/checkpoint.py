@@ -136,7 +136,7 @@ def remove(run_folder: Path) -> None:
 
 @contextmanager
 def locked(run_folder: Path) -> Iterator[None]:
-    """Hold the folder for this process, and clear what killed processes left half written.
+    """Lock the folder for this process, and remove half-written files of killed processes.
 
     The operating system frees the lock of a process that ends, however it ends. Raises ConfigError if another process
     holds the folder.
@@ -160,7 +160,7 @@ def _acquire(run_folder: Path) -> BaseFileLock:
         except FileNotFoundError:
             continue  # the previous holder finished and removed the folder: ``acquire`` makes it again
         except Timeout:
-            # Without a file, nobody holds it: the previous holder removed it between our opening and locking it.
+            # Without the file the lock is free: its holder removed the file after this process had opened it.
             if Path(lock.lock_file).exists():
                 raise ConfigError(
                     f"another process is training in {run_folder}; wait for it or choose another --out."

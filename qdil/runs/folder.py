@@ -45,7 +45,7 @@ def read_config(folder: Path) -> dict[str, Any]:
 
 
 def read_archive(folder: Path, policies: bool = False) -> dict[str, np.ndarray]:
-    """The arrays of a finished run's archive and, if asked for, its policies.
+    """The arrays of a finished run's archive, with ``policies`` also those of its policies.
 
     Raises ConfigError if the run is not finished or a file is missing.
     """

@@ -57,11 +57,11 @@ def write(
 
 def commit() -> str:
     """The repository's commit, marked where the working tree differs from it; "unknown" outside a repository."""
-    here = Path(__file__).parent
+    package = Path(__file__).parent
     try:
-        run = ["git", "-C", str(here)]
+        run = ["git", "-C", str(package)]
         head = subprocess.run([*run, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
-        changed = subprocess.run([*run, "status", "--porcelain", "--", str(here)], capture_output=True, text=True)
+        changed = subprocess.run([*run, "status", "--porcelain", "--", str(package)], capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return f"{head} with local changes" if changed.stdout.strip() else head

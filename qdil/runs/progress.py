@@ -36,7 +36,7 @@ class Progress:
         self.problems = dict.fromkeys(PROBLEMS, 0)
 
     def announce(self, folder: Path, reached: tuple[int, int] | None) -> None:
-        """Print what comes next: a new run, or the rest of the run in ``folder`` (``reached``: see ``Report``)."""
+        """Print whether a new run starts or the run in ``folder`` resumes (``reached``: see ``Report``)."""
         warmed, done = reached or (0, 0)
         if reached:
             self._print(f"Resuming the unfinished run in {folder}: {done} of {self.config.ppga.iterations} iterations.")
@@ -51,20 +51,20 @@ class Progress:
 
     def __call__(self, search: Search, row: dict[str, float]) -> None:
         """Show one iteration."""
-        done, now = int(row["iteration"]), time.monotonic()
+        done, time_now = int(row["iteration"]), time.monotonic()
         text = f"coverage {row['coverage']:.0%}, QD-score {row['qd_score']:.0f}, best {row['best']:.0f}"
         if self.first is None:
-            self.first = done, row["env_steps"], now
-        iterations, steps, seconds = done - self.first[0], row["env_steps"] - self.first[1], now - self.first[2]
+            self.first = done, row["env_steps"], time_now
+        iterations, steps, seconds = done - self.first[0], row["env_steps"] - self.first[1], time_now - self.first[2]
         if iterations and seconds > 0:
             text += f", {steps / seconds:,.0f} steps/s"
         self._print_problems(row)
         if self.bar is not None:
             self._draw(self.bar, done, text, first=not iterations)
-        elif done == self.config.ppga.iterations or now - self.last_line > SECONDS_BETWEEN_LINES:
+        elif done == self.config.ppga.iterations or time_now - self.last_line > SECONDS_BETWEEN_LINES:
             clock = f", {seconds / iterations * (self.config.ppga.iterations - done):.0f} s left" if iterations else ""
             self._print(f"{self.name}: iteration {done}/{self.config.ppga.iterations}, {text}{clock}")
-            self.last_line = now
+            self.last_line = time_now
 
     def _draw(self, bar: tqdm, done: int, text: str, first: bool) -> None:
         bar.set_postfix_str(text, refresh=False)

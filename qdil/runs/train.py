@@ -43,7 +43,7 @@ def train(
 
     ``demos_file``: demonstrations, by default ``folder.demos_path``'s. ``save_seconds``: the time between checkpoints.
     Raises ConfigError before anything compiles: for demonstrations that are missing or do not fit, for a run with
-    other settings in the folder, and where another process is training there.
+    other settings in the folder, and if another process is training there.
     """
     if not save_seconds >= 0:
         raise ConfigError(f"save_seconds={save_seconds} must be at least 0.")
@@ -105,7 +105,7 @@ def _is_done(config: Config, folder: Path, demos_file: Path | None) -> bool:
     if not is_finished(folder):
         return False
     _check_demonstrations(folder, demos_file)
-    checkpoint.remove(folder)  # it remains if the process was killed between writing the manifest and removing it
+    checkpoint.remove(folder)  # left if the process was killed after writing the manifest
     return True
 
 
@@ -216,7 +216,7 @@ def _iteration(search: ppga.Search, position: Position, start: float) -> tuple[p
 
 
 class _Saver:
-    """Writes metrics and a checkpoint every ``save_seconds``, and less often where that takes over ``SAVE_SHARE``."""
+    """Writes metrics and a checkpoint every ``save_seconds``, or less often: at most ``SAVE_SHARE`` of the time."""
 
     def __init__(self, folder: Path, demos_sha256: str | None, save_seconds: float) -> None:
         self.folder, self.demos_sha256, self.save_seconds = folder, demos_sha256, save_seconds

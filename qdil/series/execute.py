@@ -1,4 +1,4 @@
-"""Execution of one notebook with papermill, into a copy with its outputs. ``main`` does it in a process of its own."""
+"""Execution of one notebook with papermill, into a copy with its outputs. ``main`` is a process that does this."""
 
 import argparse
 import json

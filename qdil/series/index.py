@@ -111,7 +111,7 @@ def contents(entries: Iterable[Entry] | None = None) -> str:
 
 
 def claims_text(claims: Iterable[str]) -> str:
-    """Claims as people write them: "Figs. 5, 6, Table 1"."""
+    """Claims as a short list in words: "Figs. 5, 6, Table 1"."""
     numbers: dict[str, list[str]] = {}
     for claim in claims:
         kind, number = claim.rsplit(" ", 1)

@@ -41,9 +41,9 @@ class Page(NamedTuple):
     seed: int
 
     def runs(self, study: str | Sequence[str], train: bool = False, seeds: Sequence[int] | None = None) -> Runs:
-        """The finished runs of a study (or of experiments), by experiment, and a line about which there are.
+        """The finished runs of a study (or of experiments), by experiment; also displays a line that lists them.
 
-        Missing runs are trained first at ``smoke``, and with ``train``, which also draws each archive as it fills.
+        At ``smoke``, and with ``train``, missing runs are trained first. ``train`` also draws each archive as it fills.
         ``seeds`` None: the budget's.
         """
         wanted = studies.experiments_of([study], self.budget) if isinstance(study, str) else tuple(study)
@@ -78,9 +78,9 @@ class Page(NamedTuple):
             display(Markdown(f"No finished runs at this budget: {', '.join(without)}."))
 
     def demonstrations(self) -> Path | None:
-        """The file of the robot's demonstrations at this budget; None, and a line about how to get them, without one.
+        """The file of the robot's demonstrations at this budget. Without one: None, and a line with the commands.
 
-        Cells that ask reward models about demonstrated steps are left out where it is None.
+        Notebooks skip the cells that need demonstrated steps if it is None.
         """
         path = demos_path(self.budget, self.env, make_config(self.env, "true", self.budget).demos.demo_episodes)
         if path.is_file():
@@ -110,7 +110,7 @@ class Page(NamedTuple):
             display(Markdown(figure if isinstance(figure, str) and figure else "No run is finished yet."))
 
     def verdicts(self, *claim_ids: str) -> None:
-        """Display the verdicts on some claims, judged on the page's robot from the runs of the page's budget."""
+        """Display the verdicts on some claims, for the page's robot and from the runs of the page's budget."""
         if self.env not in PAPER_ROBOTS:
             self.show(f"The claims are about {', '.join(PAPER_ROBOTS)}, so there is no verdict on {self.env}.")
             return

@@ -1,7 +1,7 @@
 """The generated parts of the README and of pages under ``docs/``: tables of numbers, and sentences on verdicts.
 
 ``make contents`` writes each part between its markers. Notebooks come from their index, results and verdicts from the
-kept runs, settings from the budgets, and speeds from the files of ``qdil bench``. No number of theirs is typed.
+kept runs, settings from the budgets, and speeds from the files of ``qdil bench``. None of these numbers is typed.
 """
 
 import json
@@ -53,10 +53,10 @@ def results(root: Path | None = None) -> str:
 def verdicts(root: Path | None = None) -> str:
     """Two sentences on ``qdil claims``: the paper's main claim, and how many of its claims have which verdict."""
     judged = claims.judge(root or RESULTS, BUDGET, [ROBOT])
-    mine = [v for v in judged if v.env == ROBOT and v.claim.where != "ours"]
-    found = [v.verdict for v in mine]
+    of_paper = [v for v in judged if v.env == ROBOT and v.claim.where != "ours"]
+    found = [v.verdict for v in of_paper]
     return (
-        f"At the `{BUDGET}` budget, on {ROBOT}, {_main_claim([v for v in mine if v.claim.id == 'C1'])}.\n"
+        f"At the `{BUDGET}` budget, on {ROBOT}, {_main_claim([v for v in of_paper if v.claim.id == 'C1'])}.\n"
         f"Of the paper's {len(found)} claims, these runs reproduce {found.count(REPRODUCED)}, do not reproduce "
         f"{found.count(NOT_REPRODUCED)}, and leave {found.count(INCONCLUSIVE)} open; {found.count(NO_RUNS)} have no "
         "runs yet."

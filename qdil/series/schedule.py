@@ -45,7 +45,7 @@ def execute_all(order: Order) -> list[str]:
     value, and for a notebook without the parameters that it will be given.
     """
     with needs("notebooks", "the execution of notebooks"):
-        version("snakemake")  # a process of its own; importing it here would take a second
+        version("snakemake")  # it runs in another process; importing it here would take a second
         from qdil.series.execute import check_parameters
 
     if order.at_once < 1 or not order.minutes > 0:
@@ -88,7 +88,7 @@ def _watch(workflow: subprocess.Popen, names: Sequence[str], scratch: Path) -> N
     """Wait for the workflow to end: a line for each notebook that ends, and their progress, see ``_Progress``."""
     progress, running = _Progress(len(names)), list(names)
     while True:
-        ended = workflow.poll() is not None  # asked before the reports are read, so that the last of them is seen
+        ended = workflow.poll() is not None  # before the reports are read, so that the last one is not missed
         for name in tuple(running):
             report = scratch / f"{name}.json"
             if report.is_file():
@@ -102,7 +102,7 @@ def _watch(workflow: subprocess.Popen, names: Sequence[str], scratch: Path) -> N
 
 
 class _Progress:
-    """A bar over the notebooks on a terminal; elsewhere a line now and then."""
+    """A bar over the notebooks on a terminal; elsewhere a line every ``SECONDS_BETWEEN_LINES``."""
 
     def __init__(self, count: int) -> None:
         self.bar = tqdm(total=count, unit="notebook", disable=not sys.stderr.isatty())

@@ -26,7 +26,7 @@ SITE = ROOT / "build" / "site"
 SETTINGS = ROOT / "docs" / "site"
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(<?([^)\s>#]+)(#[^)\s>]*)?>?\)")
 COPIED = (".png", ".pdf", ".svg", ".html", ".gif", ".mp4")  # linked files that a browser shows
-# Linked files that get a page with their text, highlighted as what.
+# Suffixes of linked files that get a page with their text, and the language of its highlighting.
 SHOWN = {".py": "python", ".md": "markdown", ".toml": "toml", ".yaml": "yaml", ".csv": "text", "": "text"}
 
 
@@ -45,7 +45,7 @@ def build(budget: str | None = None, out: Path = SITE, executed: Path = EXECUTED
     for folder in (out, source):
         shutil.rmtree(folder, ignore_errors=True)
     gather(budget, found, source, executed)
-    # Without its cache of parsed pages in the site, and with errors and warnings alone on the terminal.
+    # The options keep Sphinx's cache out of the site and print only errors and warnings.
     if build_main(["-q", "-c", str(SETTINGS), "-d", str(source / ".cache"), str(source), str(out)]):
         raise ConfigError(f"Sphinx could not build the pages in {source}; its messages are above.")
     return out / "index.html"
@@ -83,7 +83,7 @@ def gather(budget: str, entries: Iterable[Entry], source: Path, executed: Path =
 class Pages:
     """The pages that Sphinx reads, in the folder ``source``, each at the place of its file in the repository.
 
-    ``known``: the files that are pages of their own, so that links to them need no change.
+    ``known``: the files that are pages themselves, so that links to them need no change.
     """
 
     def __init__(self, source: Path, known: Iterable[Path]) -> None:
@@ -96,7 +96,7 @@ class Pages:
         target.write_text(self.links(text, path.parent) if linked else text)
 
     def links(self, text: str, folder: Path) -> str:
-        """Markdown whose links, relative to ``folder``, lead to something in the site; others become plain text."""
+        """Markdown whose links, relative to ``folder``, point to a file of the site; others become plain text."""
         return LINK.sub(lambda found: self._link(folder, *found.groups(default="")), text)
 
     def _link(self, folder: Path, image: str, words: str, address: str, part: str) -> str:

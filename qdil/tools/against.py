@@ -1,8 +1,8 @@
-"""``qdil bench --against``: whole iterations of this version of qdil and of another checkout, in turns.
+"""``qdil bench --against``: whole iterations of this version of qdil and of another checkout, alternating.
 
-Every measurement is a process of its own: it begins a run, does one iteration, warms up and then times some iterations.
-The processes of the two versions alternate, so that the machine's drift meets both. Each version has a compilation
-cache of its own, which is empty for its first process: that one's start is cold, the others' are warm.
+Every measurement runs in a new process: it begins a run, does one iteration, warms up and then times some iterations.
+The processes of the two versions alternate, so that the machine's drift affects both. Each version has its own
+compilation cache, which is empty for its first process. So its first start is cold, and the later ones are warm.
 """
 
 import json
@@ -25,7 +25,7 @@ from qdil.imitation.demos import made_up
 from qdil.robots import register
 
 METHODS = ("true", "mconbo-gail")
-WARM_UP = 100  # VPPO updates before the timed iterations; robots that only fall say little about a run
+WARM_UP = 100  # VPPO updates before the timed iterations; untrained robots only fall, and a run's robots do not
 ITERATIONS = 15  # timed in each process
 
 # Uses only what every version of qdil has had.
@@ -67,7 +67,7 @@ class Measured(NamedTuple):
 
     start: float  # seconds from the start of the process to the end of its first iteration
     steps: list[float]  # environment steps of the timed iterations
-    seconds: list[float]  # and their times
+    seconds: list[float]  # times of these iterations
 
 
 def check(checkout: Path) -> None:

@@ -1,7 +1,7 @@
 """``qdil bench``: how fast a run is on this machine, as ratios to the bare simulator.
 
-The bare simulator steps the same robots on the same devices with random actions. ``workloads`` are timed in turns with
-it (``timing``); what is reported are medians of ratios within a round.
+The bare simulator steps the same robots on the same devices with random actions. The bench times it and ``workloads``
+alternately (``timing``), and reports medians of ratios within a round.
 """
 
 import json
@@ -26,7 +26,7 @@ Row = dict[str, float]  # figures of one robot by name
 
 
 def everything(env: str, budget: str, rounds: int) -> Row:
-    """All figures of one robot. What is being measured is printed to standard error."""
+    """All figures of one robot. Prints each measurement's name to standard error as it starts."""
 
     def announce(what: str) -> None:
         print(f"{env}: {what} …", file=sys.stderr, flush=True)
@@ -42,7 +42,7 @@ def everything(env: str, budget: str, rounds: int) -> Row:
 
 
 def in_own_process(env: str, budget: str, rounds: int) -> dict[str, Row]:
-    """``everything`` of one robot, by robot, measured in a process of its own."""
+    """``everything`` of one robot, by robot, measured in a new process."""
     command = [sys.executable, "-m", "qdil", "bench", "--env", env, "--budget", budget, "--rounds", str(rounds)]
     return json.loads(subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE).stdout)
 
@@ -128,7 +128,7 @@ def full_networks(env: str, rounds: int) -> Row:
     full = make_config(env, "true", "full")
     names = ("actor_hidden", "critic_hidden", "minibatches", "epochs")
     changes = {name: value_of(full, name) for name in names}
-    # A divergence that is never reached, so that every epoch is done and the operations can be counted.
+    # No KL divergence exceeds this target, so every epoch is done and the operations can be counted.
     search = ppga.begin(make_config(env, "true", "laptop", num_envs=192, target_kl=1e9, **changes), None)
     config = search.config
     size, product_flop = 1024, 2.0 * 1024**3

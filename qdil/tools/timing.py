@@ -1,4 +1,4 @@
-"""Timing in turns: several workloads, one after the other, round after round.
+"""Alternating measurements: in every round, all workloads run one after the other.
 
 Machines are shared and drift, so a single speed is worth little. The ratio of two speeds of the same round is nearly
 free of the drift; the medians of such ratios are what the bench reports.

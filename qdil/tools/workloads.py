@@ -24,7 +24,7 @@ SHARED_STATE = ("train_state", "stats", "envs")  # what ``prepared`` copies from
 def prepared(robot: str, method: str, budget: str, like: ppga.Search | None = None, **changes: Any) -> ppga.Search:
     """A search after the budget's warm-up and one iteration, so that everything is compiled; on made-up demonstrations.
 
-    Without the warm-up the robots would only fall, and say little about a run. ``like``: copy the robots, policy,
+    Without the warm-up the robots would only fall, which a run's robots do not. ``like``: copy the robots, policy,
     critic and normaliser of this search instead of warming up.
     """
     config = make_config(robot, method, budget, **changes)
@@ -120,9 +120,9 @@ def iterations_of(search: ppga.Search) -> Turn:
 
 
 def same_iterations(one: ppga.Search, together: ppga.Search) -> tuple[Turn, Turn]:
-    """The next QD iteration of ``together``: on the devices of ``one``, and, called after that, on its own.
+    """The next QD iteration of ``together``: on the devices of ``one``, and, called after that, on its own devices.
 
-    Two runs of their own would drift apart. The one whose candidates live longer would do more of the fast steps of
+    Two independent runs would drift apart. The one whose candidates live longer would do more of the fast steps of
     evaluations, and seem faster.
     """
 

@@ -14,7 +14,7 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os
 
 
 def printed(code: str, **variables: str) -> str:
-    """The last line that a process prints that starts without any of our variables."""
+    """The last line printed by a process that starts without any of our variables."""
     clean = {name: value for name, value in os.environ.items() if name not in OURS}
     done = subprocess.run([sys.executable, "-c", code], env=clean | variables, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -225,7 +225,7 @@ def test_roughness_compares_neighbours_alone(tmp_path):
     assert np.isnan(readings.roughness(alone))
 
 
-def test_smoother_archives_are_told_from_rougher_ones(tmp_path):
+def test_smoother_archives_are_distinguished_from_rougher_ones(tmp_path):
     for seed in (1, 2):
         write_run(tmp_path, "humanoid", "mconbo-gail", seed)
         for name in ("gail", "true"):
@@ -267,7 +267,7 @@ def test_a_smoke_result_never_overwrites_the_laptops(tmp_path):
     assert "reproduced |" in paths["smoke"].read_text() and "There are no runs." in paths["laptop"].read_text()
 
 
-def test_pages_say_what_sets_runs_apart(tmp_path):
+def test_pages_list_differences_between_runs(tmp_path):
     folder = write_run(tmp_path, "walker2d", "gail", 1)
     (folder / "config.json").write_text(json.dumps({"gamma": 0.5, "eval_chunk_steps": 1}))
     (folder / "manifest.json").write_text(
@@ -304,7 +304,7 @@ def test_the_command_refuses_what_does_not_exist(tmp_path, arguments, capsys):
     assert "there is no folder" in capsys.readouterr().err and not (tmp_path / "reslts").exists()
 
 
-def test_the_kept_page_is_what_the_runs_that_it_names_say(tmp_path):
+def test_the_kept_page_agrees_with_the_runs_that_it_names(tmp_path):
     page = (ROOT / "results" / "claims.md").read_text()
     listed = subprocess.run(["git", "-C", ROOT, "ls-files", "results/laptop"], capture_output=True, text=True).stdout
     kept = {Path(line).parent for line in listed.split() if line.endswith("manifest.json")}

@@ -1,4 +1,4 @@
-"""Tables of demonstrations say what is in the files."""
+"""Tables of demonstrations agree with the files."""
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def test_an_expert_without_policies_gives_no_demonstrations(tmp_path):
     assert "has no policies.npz" in demonstrations.record_missing("walker2d", "smoke", tmp_path)
 
 
-def test_a_row_per_episode_with_the_archives_word_beside():
+def test_a_row_per_episode_beside_the_archives_values():
     demos = recorded()
     table = demonstrations.episodes(demos, "walker2d")
     assert table["steps (rows)"].tolist() == [3, 5] and list(table.index) == [1, 2]

@@ -1,4 +1,4 @@
-"""Figures and tables come from run folders, and what the README shows is what the kept runs say."""
+"""Figures and tables come from run folders, and the README shows the numbers of the kept runs."""
 
 import pytest
 from fake_runs import write_arms, write_run

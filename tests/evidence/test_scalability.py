@@ -38,6 +38,6 @@ def test_of_other_robots_nothing_is_known():
     assert scalability.published("humanoid").empty
 
 
-def test_remarks_on_the_papers_numbers_are_said_once():
+def test_remarks_on_the_papers_numbers_are_shown_once():
     assert scalability.notes("walker2d") == "the 1-demo bands look like incomplete seeds"
     assert scalability.notes("humanoid") == ""

@@ -42,10 +42,10 @@ def test_intervals_are_scipys(arms):
 
     found = stats.contrast(arms, statistic, seed=3)
     rng = np.random.default_rng(3)
-    theirs = scipy_stats.bootstrap(
+    of_scipy = scipy_stats.bootstrap(
         arms, statistic, n_resamples=stats.RESAMPLES, method="percentile", vectorized=True, rng=rng
     ).confidence_interval
-    assert found[1:] == pytest.approx((theirs.low, theirs.high))
+    assert found[1:] == pytest.approx((of_scipy.low, of_scipy.high))
 
 
 @given(ARM, ARM)
@@ -71,7 +71,7 @@ def test_one_seed_has_an_estimate_and_no_interval(ours, reference):
 
 
 @pytest.mark.parametrize("ours", [[], [1.0, np.nan, 2.0], [1.0, np.inf]])
-def test_nothing_comes_of_nothing_or_of_what_is_no_number(ours):
+def test_empty_arms_and_values_that_are_not_finite_have_no_estimate(ours):
     assert np.isnan(stats.difference(ours, [1.0, 2.0])).all()
     assert np.isnan(stats.bootstrap_interval(ours)).all()
 

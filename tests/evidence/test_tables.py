@@ -73,7 +73,7 @@ def test_what_the_paper_never_ran_says_so_and_a_single_seed_has_no_spread():
     assert tables.of_paper("humanoid", "true", "best") == "9691"
 
 
-def test_the_later_versions_table_is_what_the_file_says():
+def test_the_later_versions_table_agrees_with_the_file():
     with open(Path(paper.__file__).parent / "paper_numbers.csv", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["source"].startswith("later version")]
     published = {(row["environment"], row["method"], row["metric"]): float(row["value"]) for row in rows}

@@ -188,7 +188,7 @@ def test_the_form_follows_where_it_runs(folder, monkeypatch):
     assert isinstance(qdil.explore(folder), page.Page)
 
 
-def test_the_kernel_answers_a_wish_with_the_rollout_or_a_sentence(folder, monkeypatch):
+def test_the_kernel_answers_a_request_with_the_rollout_or_a_reason(folder, monkeypatch):
     view = qdil.explore(folder, live=True).view
     sent = []
     monkeypatch.setattr(view, "send", lambda content, buffers=None: sent.append((content, buffers)))

@@ -1,4 +1,4 @@
-"""The explorer of robots with one foot, with four, and with a simulator of their own."""
+"""The explorer of robots with one foot, with four, and with their own simulator."""
 
 import io
 
@@ -65,7 +65,7 @@ def test_films_and_pictures_show_every_foot(runs, env, tmp_path):
 
 
 def own_robot(name, k):
-    """A point that stands still, with a state that nobody else knows."""
+    """A point that stands still, with a state that no other module reads."""
 
     def state(t):
         return RobotState(t, jnp.zeros(3), jnp.ones(k))

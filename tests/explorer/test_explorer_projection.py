@@ -165,6 +165,6 @@ def test_six_feet_have_one_colour_each_the_same_in_films_and_in_the_front_end():
     text = (SOURCES / "colours.js").read_text()
     for name, ours in (("FEET", drawing.FEET), ("LEGS", drawing.LEGS)):
         (line,) = re.findall(rf"export const {name} = \[(.*?)\]", text)
-        theirs = [[int(code[i : i + 2], 16) for i in (0, 2, 4)] for code in re.findall("#([0-9a-f]{6})", line)]
-        assert theirs == ours.astype(int).tolist()
-        assert len({tuple(colour) for colour in theirs}) == 6
+        in_front_end = [[int(code[i : i + 2], 16) for i in (0, 2, 4)] for code in re.findall("#([0-9a-f]{6})", line)]
+        assert in_front_end == ours.astype(int).tolist()
+        assert len({tuple(colour) for colour in in_front_end}) == 6

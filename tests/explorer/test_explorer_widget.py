@@ -58,7 +58,7 @@ def test_runs_and_fields_that_are_not_there_are_refused(folder):
         view.field = "length"
 
 
-def test_whatever_goes_wrong_in_the_kernel_the_page_is_told(folder, monkeypatch):
+def test_every_error_of_the_kernel_is_sent_to_the_page(folder, monkeypatch):
     view = qdil.explore(folder, live=True).view
     sent = []
     monkeypatch.setattr(view, "send", lambda content, buffers=None: sent.append(content))

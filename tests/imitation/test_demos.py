@@ -1,4 +1,4 @@
-"""Demonstrations: who is chosen, what is recorded, and which files are refused."""
+"""Demonstrations: which elites are chosen, what is recorded, and which files are refused."""
 
 import itertools
 
@@ -86,13 +86,13 @@ def test_recorded_episodes_are_whole_and_single(recorded):
     lengths = np.bincount(recorded["episode"])
     assert lengths.tolist() == [4, 9, 9]
     for i, last in enumerate(np.cumsum(lengths) - 1):
-        mine = recorded["episode"] == i
+        rows = recorded["episode"] == i
         assert recorded["terminated"][last] == (i == 0)
         assert recorded["truncated"][last] == (i != 0)
-        assert (recorded["terminated"] | recorded["truncated"])[mine].sum() == 1
-        np.testing.assert_array_equal(recorded["obs"][mine][1:], recorded["next_obs"][mine][:-1])
-        assert recorded["episode_return"][i] == pytest.approx(recorded["reward"][mine].sum(), rel=1e-5)
-        np.testing.assert_allclose(recorded["episode_measures"][i], recorded["proxy"][mine].mean(axis=0))
+        assert (recorded["terminated"] | recorded["truncated"])[rows].sum() == 1
+        np.testing.assert_array_equal(recorded["obs"][rows][1:], recorded["next_obs"][rows][:-1])
+        assert recorded["episode_return"][i] == pytest.approx(recorded["reward"][rows].sum(), rel=1e-5)
+        np.testing.assert_allclose(recorded["episode_measures"][i], recorded["proxy"][rows].mean(axis=0))
 
 
 # Keeping
@@ -270,14 +270,14 @@ def test_shifted_pairs_are_a_lag_of_each_episodes_own():
     lengths, lags = [30] * 40 + [1, 5], []
     data = demos.shifted(episodes_of(*lengths), np.random.default_rng(0))
     for e, length in enumerate(lengths):
-        mine = np.floor(data["action"][:, 0] / 100) == e
-        lag = length - mine.sum()
+        rows = np.floor(data["action"][:, 0] / 100) == e
+        lag = length - rows.sum()
         lags.append(lag)
         t = np.arange(length - lag)
-        assert data["action"][mine, 0].tolist() == (100 * e + t + 0.5).tolist()
-        assert data["obs"][mine, 0].tolist() == (100 * e + t + 1 + lag).tolist()
-        assert data["next_obs"][mine, 0].tolist() == (100 * e + np.minimum(t + 2 + lag, length)).tolist()
-        assert data["proxy"][mine, 1].tolist() == (-100 * e - np.minimum(t + 1 + lag, length - 1)).tolist()
+        assert data["action"][rows, 0].tolist() == (100 * e + t + 0.5).tolist()
+        assert data["obs"][rows, 0].tolist() == (100 * e + t + 1 + lag).tolist()
+        assert data["next_obs"][rows, 0].tolist() == (100 * e + np.minimum(t + 2 + lag, length)).tolist()
+        assert data["proxy"][rows, 1].tolist() == (-100 * e - np.minimum(t + 1 + lag, length - 1)).tolist()
     assert min(lags[:40]) == 0 and max(lags) <= 19 and len(set(lags[:40])) > 10 and lags[40] == 0
 
 

@@ -134,7 +134,7 @@ def test_it_knows_transitions_and_not_only_where_the_expert_is(trained):
 
 
 def test_its_decoder_is_the_forward_model_of_the_experts_world(trained):
-    # Its error is that of the noise, 0.1 deviations in each of three places, and some of its own.
+    # Its error is that of the noise, 0.1 deviations in each of three places, plus a little model error.
     held_out = expert_steps(np.random.default_rng(1))
     spread = np.asarray(held_out.obs).reshape(-1, OBS).std(0)
     noise = np.sum(np.square(0.1 * np.array([2.0, 0.5, 1.0]) / spread))
@@ -146,8 +146,8 @@ def test_it_learns_before_the_run_and_then_no_more(trained):
     expert, policy = (demos_of(steps_of(np.random.default_rng(3))), steps_of(np.random.default_rng(4)))
     after, info = model.update(jax.random.key(0), state, CONTEXT, expert, policy)
     assert not model.learns and info == {}
-    for mine, theirs in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
-        np.testing.assert_array_equal(mine, theirs)
+    for leaf, other_leaf in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
+        np.testing.assert_array_equal(leaf, other_leaf)
 
 
 def test_without_actions_it_is_blind_to_them():
@@ -156,8 +156,8 @@ def test_without_actions_it_is_blind_to_them():
     demos, steps = demos_of(steps_of(rng)), steps_of(rng)
     init = jax.jit(model.init)
     state, other = (init(jax.random.key(0), d) for d in (demos, demos._replace(action=-demos.action)))
-    for mine, theirs in zip(jax.tree.leaves(state), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(mine, theirs)
+    for leaf, other_leaf in zip(jax.tree.leaves(state), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(leaf, other_leaf)
     rewards, other_rewards = (
         model.reward(state, (), CONTEXT, s)[1] for s in (steps, steps._replace(action=-steps.action))
     )

@@ -253,5 +253,5 @@ def test_it_never_learns():
     steps = steps_of(np.random.default_rng(0))
     after, info = model.update(jax.random.key(0), state, CONTEXT, demos_of(steps), steps)
     assert not model.learns and info == {}
-    for mine, theirs in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
-        np.testing.assert_array_equal(mine, theirs)
+    for leaf, other_leaf in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
+        np.testing.assert_array_equal(leaf, other_leaf)

@@ -1,4 +1,4 @@
-"""What holds for every reward model and variant: it learns, and it sees exactly what its name says it may."""
+"""What holds for every reward model and variant: it learns, and it sees exactly the inputs that its name allows."""
 
 from functools import cache
 from itertools import product
@@ -66,7 +66,7 @@ def data():
 
 @cache
 def outcome(method):
-    """What ``program`` makes of ``data``."""
+    """The results of ``program`` for ``data``."""
     return program(method)(*data())
 
 
@@ -211,11 +211,11 @@ def test_the_same_raw_numbers_become_the_same_inputs(normaliser, actions, proxy)
     assert expert.action.shape[-1] == (0 if actions else ACTIONS)
     assert expert.proxy.shape[-1] == (0 if proxy else PROXIES)
     for name in Inputs._fields:
-        mine, theirs, theirs_rewarded = (np.asarray(getattr(x, name)) for x in (expert, policy, rewarded))
-        np.testing.assert_array_equal(mine, theirs.reshape(mine.shape))
-        np.testing.assert_array_equal(theirs, theirs_rewarded)
+        of_expert, of_policy, of_rewarded = (np.asarray(getattr(x, name)) for x in (expert, policy, rewarded))
+        np.testing.assert_array_equal(of_expert, of_policy.reshape(of_expert.shape))
+        np.testing.assert_array_equal(of_policy, of_rewarded)
         if normaliser == "expert":
-            np.testing.assert_array_equal(mine, getattr(begun, name))
+            np.testing.assert_array_equal(of_expert, getattr(begun, name))
 
 
 @pytest.mark.parametrize("normaliser", ["running", "expert"])

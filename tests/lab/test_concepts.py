@@ -50,7 +50,7 @@ def test_reward_is_log_of_one_plus_the_density_of_demonstrations():
     np.testing.assert_allclose(reward, np.log1p(density), rtol=1e-3)
 
 
-def test_a_discriminator_blind_to_details_never_pays_less_on_average():
+def test_a_discriminator_blind_to_details_never_gives_a_lower_mean_reward():
     at, experts, details = np.linspace(0, 1, 50), np.array([0.2, 0.7]), np.array([0.9, 0.3])
     fine, coarse = (concepts.discriminator_reward(at, experts, details, 0.06, sees) for sees in (True, False))
     assert (coarse >= fine - 1e-9).all() and (coarse > fine + 0.1).any()

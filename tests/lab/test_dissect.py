@@ -87,7 +87,7 @@ def test_comparison_gives_means_and_standard_errors():
     )
 
 
-def test_the_copy_paid_for_an_objective_is_the_filled_one():
+def test_the_copy_trained_on_an_objective_is_the_filled_one():
     means = np.arange(12.0).reshape(4, 3)
     columns = pd.MultiIndex.from_tuples([(w, k) for w in ("return", "a down", "b down") for k in ("mean", "error")])
     table = pd.DataFrame(np.repeat(means, 2, axis=1), index=["mu", "f", "1", "2"], columns=columns)
@@ -142,7 +142,7 @@ def test_coefficients_mark_every_restart():
     assert list(ax.lines[3].get_xdata()) == [1, 3] and "2 restarts" in ax.get_xlabel()
 
 
-def test_a_jump_is_dashed_on_the_path():
+def test_a_restart_is_dashed_on_the_path():
     followed = pd.DataFrame({"m1": [0.1, 0.2, 0.8], "m2": [0.1, 0.3, 0.9], "restart": [False, False, True]})
     archive = {"index": [0], "measures": [[0.1, 0.1]], "true_return": [1.0], "cells": [5, 5]}
     arrows = [text.arrow_patch.get_linestyle() for text in pictures.path(followed, archive).axes[0].texts]

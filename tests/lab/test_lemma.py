@@ -273,7 +273,7 @@ def test_counting_episodes_agrees_with_the_exact_values():
     assert np.all((1 <= length) & (length < 12))
 
 
-def test_bayes_rule_says_what_coin_flips_count():
+def test_bayes_rule_agrees_with_counted_coin_flips():
     table = trials.bayes_by_sampling(1, PROBLEMS, 2, 1000, MANY._replace(learning_rate=0.3))
     share = table["by_new"] / table["landed"]
     z = (share - table["exact"]) / np.sqrt(table["exact"] * (1 - table["exact"]) / table["landed"])

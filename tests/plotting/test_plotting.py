@@ -56,9 +56,9 @@ def test_methods_drawn_together_have_colours_that_anyone_can_tell_apart(study, v
 
 @pytest.mark.parametrize("names", [*STUDIES.values(), tuple(method_names())], ids=[*STUDIES, "all methods"])
 def test_no_two_lines_of_a_picture_look_the_same(names):
-    looks = plotting.styles(names)
-    assert list(looks) == list(names)
-    assert len({tuple(map(str, look.values())) for look in looks.values()}) == len(names)
+    line_styles = plotting.styles(names)
+    assert list(line_styles) == list(names)
+    assert len({tuple(map(str, one.values())) for one in line_styles.values()}) == len(names)
 
 
 def test_a_method_has_the_same_colour_everywhere():
@@ -73,9 +73,9 @@ def test_every_method_has_a_colour_of_its_own():
     assert len({plotting.method_colour(name) for name in method_names()}) == len(method_names())
 
 
-def test_names_that_are_no_methods_get_looks_of_their_own():
-    looks = plotting.styles(["first try", "second try", "gail"])
-    assert len({look["color"] for look in looks.values()}) == 3
+def test_names_that_are_no_methods_get_their_own_styles():
+    line_styles = plotting.styles(["first try", "second try", "gail"])
+    assert len({one["color"] for one in line_styles.values()}) == 3
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_legends_call_experiments_by_what_differs(experiment, text):
     assert plotting.label(experiment) == text
 
 
-def test_axes_have_the_units_that_they_say():
+def test_axes_have_the_units_of_their_labels():
     steps = table(1.0, steps=np.linspace(0.5e6, 3e6, 30))
     for x, unit, columns in (("env_steps", 1e6, {}), ("wall_seconds", 60.0, {"wall_seconds": np.arange(30) * 12.0})):
         tables = steps.assign(**columns)

@@ -1,4 +1,4 @@
-"""Pictures of demonstrations and robots show what the arrays say."""
+"""Pictures of demonstrations and robots show the values in the arrays."""
 
 import numpy as np
 import pytest

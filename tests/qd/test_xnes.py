@@ -123,7 +123,7 @@ def test_utilities_by_hand():
 
 
 @given(st.lists(st.integers(-3, 3), min_size=2, max_size=30))
-def test_ties_share_and_utilities_sum_to_nothing(values):
+def test_ties_share_and_utilities_sum_to_zero(values):
     u = utilities(np.array(values, float))
     assert u.sum() == pytest.approx(0, abs=1e-12)
     for i in range(len(values)):

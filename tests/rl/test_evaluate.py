@@ -51,7 +51,7 @@ def scored(env, policies, key, rewards=fitness, **settings):
 
 @pytest.fixture(scope="module")
 def policies():
-    """Policies that walk forward, backward or hardly at all, each with an observation normaliser of its own."""
+    """Policies that walk forward, backward or hardly at all, each with its own observation normaliser."""
     rng = np.random.default_rng(0)
     theta = rng.normal(size=(CANDIDATES, networks.flat_size(TEMPLATE))).astype(np.float32)
     theta[:, np.asarray(networks.flatten(TEMPLATE)) == np.log(np.float32(1e-6))] = np.log(1e-6)

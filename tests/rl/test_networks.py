@@ -88,4 +88,4 @@ def test_columns_learn_what_rows_learn(policy):
         return jnp.sum(jnp.square(networks.mlp(layers, rows)))
 
     gradients = jax.jit(jax.grad(by_columns))(policy["mean"]), jax.grad(by_rows)(policy["mean"])
-    jax.tree.map(lambda ours, theirs: np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6), *gradients)
+    jax.tree.map(lambda ours, expected: np.testing.assert_allclose(ours, expected, rtol=1e-4, atol=1e-6), *gradients)

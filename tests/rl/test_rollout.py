@@ -74,7 +74,7 @@ def test_each_robot_and_rollout_has_a_start_of_its_own(two_rollouts):
 
 
 def halves(x):
-    """Of two rollouts' steps but the last: the first rollout's, and the second's."""
+    """The steps of two rollouts without the last: those of the first rollout, and those of the second."""
     return x[:LENGTH], x[LENGTH:]
 
 

@@ -293,7 +293,7 @@ def test_the_critic_finds_the_known_value(updates):
 
 
 def test_clipping_is_measured_from_the_critics_output():
-    # Returns far from zero make the statistics jump; were ``value`` restated in the new ones, nothing would be learned.
+    # Returns far from zero change the statistics much. With ``value`` in the new ones, nothing would be learned.
     critic = networks.init_mlp(jax.random.key(1), (1, 8, K))
     policy = networks.init_policy(jax.random.key(0), 1, 1, (8,), 0.5)
     train_state = vppo.init_train_state(SETTINGS, policy, critic, K)

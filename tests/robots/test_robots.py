@@ -40,17 +40,17 @@ def test_robots_move_as_braxs_own_do(robot):
 
     plain = envs.get_environment(robot.name, backend="spring")
     keys = jax.random.split(jax.random.key(4), 6)
-    ours, theirs = jax.jit(jax.vmap(robot.reset))(keys), jax.jit(jax.vmap(plain.reset))(keys)
-    np.testing.assert_array_equal(ours.obs, theirs.obs)
+    ours, of_brax = jax.jit(jax.vmap(robot.reset))(keys), jax.jit(jax.vmap(plain.reset))(keys)
+    np.testing.assert_array_equal(ours.obs, of_brax.obs)
     step, plain_step = jax.jit(jax.vmap(robot.step)), jax.jit(jax.vmap(plain.step))
     touched = False
     for action in np.random.default_rng(0).uniform(-1, 1, (25, 6, robot.action_size)).astype(np.float32):
-        before = RobotState(theirs.pipeline_state, theirs.obs, ours.proxy)
-        (ours, outcome), theirs = step(before, action), plain_step(theirs, action)
+        before = RobotState(of_brax.pipeline_state, of_brax.obs, ours.proxy)
+        (ours, outcome), of_brax = step(before, action), plain_step(of_brax, action)
         touched |= bool(ours.proxy.any())
-        np.testing.assert_allclose(ours.obs, theirs.obs, rtol=1e-3, atol=1e-3)
-        np.testing.assert_allclose(outcome.reward, theirs.reward, rtol=1e-3, atol=1e-3)
-        leaves = zip(jax.tree.leaves(ours.physics), jax.tree.leaves(theirs.pipeline_state), strict=True)
+        np.testing.assert_allclose(ours.obs, of_brax.obs, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(outcome.reward, of_brax.reward, rtol=1e-3, atol=1e-3)
+        leaves = zip(jax.tree.leaves(ours.physics), jax.tree.leaves(of_brax.pipeline_state), strict=True)
         for our_leaf, their_leaf in leaves:
             np.testing.assert_allclose(our_leaf, their_leaf, rtol=1e-3, atol=1e-3)
     assert touched

@@ -275,11 +275,11 @@ def test_files_of_killed_processes_are_removed(tmp_path, uninterrupted):
     (folder / "manifest.json").unlink()
     (folder / "checkpoint").mkdir()
     half = [folder / ".policies.npz.a1_b2c3d", folder / "checkpoint" / f".000002-000001-{'0' * 64}.npz.abcdefgh"]
-    theirs = [folder / ".gitkeep", folder / ".notes.json"]
-    for path in half + theirs:
+    others = [folder / ".gitkeep", folder / ".notes.json"]
+    for path in half + others:
         path.touch()
     train(CONFIG, folder)
-    assert not any(path.exists() for path in half) and all(path.exists() for path in theirs)
+    assert not any(path.exists() for path in half) and all(path.exists() for path in others)
 
 
 def test_other_demonstrations_are_refused(tmp_path):

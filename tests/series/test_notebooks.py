@@ -144,9 +144,9 @@ def test_every_figure_and_table_of_the_paper_is_claimed_by_one_notebook():
 
 
 @pytest.mark.parametrize("entry", index.read(), ids=lambda entry: entry.name)
-def test_a_notebook_speaks_of_what_it_claims(entry):
-    said = mentioned(prose_of(ROOT / "notebooks" / f"{entry.name}.ipynb"))
-    assert set(entry.claims) <= said, set(entry.claims) - said
+def test_a_notebook_mentions_what_it_claims(entry):
+    in_text = mentioned(prose_of(ROOT / "notebooks" / f"{entry.name}.ipynb"))
+    assert set(entry.claims) <= in_text, set(entry.claims) - in_text
 
 
 def mentioned(text: str) -> set[str]:
@@ -224,9 +224,9 @@ def test_a_failing_notebook_is_named_with_cell_and_error_while_the_others_go_on(
     write(series, "00_bad", "x = 1", "x / 0", "print('never')")
     write(series, "01_good", "print(budget, env, seed)")
     assert main(["notebooks", "--env", "halfcheetah", "--seed", "7"]) == 1
-    said = capfd.readouterr()
-    assert said.err.strip() == "00_bad, cell 4: ZeroDivisionError: division by zero"  # 2 is papermill's own cell
-    assert {line.split(" after")[0] for line in said.out.splitlines()} == {"00_bad: failed", "01_good: done"}
+    captured = capfd.readouterr()
+    assert captured.err.strip() == "00_bad, cell 4: ZeroDivisionError: division by zero"  # 2 is papermill's own cell
+    assert {line.split(" after")[0] for line in captured.out.splitlines()} == {"00_bad: failed", "01_good: done"}
     (printed,) = outputs_of(series / "executed" / "smoke" / "01_good.ipynb")
     assert printed.text == "smoke halfcheetah 7\n"
     assert [o.ename for o in outputs_of(series / "executed" / "smoke" / "00_bad.ipynb") if o.output_type == "error"]
@@ -264,8 +264,8 @@ def test_a_notebook_that_would_ignore_a_parameter_is_refused_before_anything_run
 def test_a_bad_request_is_refused_in_a_line(series, capfd, arguments, named):
     write(series, "00_good", "print(budget)")
     assert main(["notebooks", *arguments]) == 2
-    said = capfd.readouterr()
-    assert named in said.err and said.err.count("\n") == 1 and not (series / "executed").exists()
+    captured = capfd.readouterr()
+    assert named in captured.err and captured.err.count("\n") == 1 and not (series / "executed").exists()
 
 
 @pytest.mark.physics

@@ -1,4 +1,4 @@
-"""Notebooks about runs where those are not there yet: each says what is missing, and none raises."""
+"""Notebooks whose runs do not exist yet: each lists what is missing, and none raises an error."""
 
 import json
 

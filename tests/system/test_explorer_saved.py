@@ -21,7 +21,7 @@ LOCAL = {"mathjax_url": "", "require_js_url": ""}  # what a page of nbconvert's 
 
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory, runs):
-    """A notebook that a batch run executed: nobody is there to click."""
+    """A notebook that a batch run executed: no person is there to click."""
     folder = tmp_path_factory.mktemp("executed")
     nbformat.write(notebook(f"import qdil\nqdil.explore({str(runs['true'])!r})"), folder / "explore.ipynb")
     alone = {name: value for name, value in os.environ.items() if name not in READER_VARIABLES}

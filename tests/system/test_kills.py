@@ -1,4 +1,4 @@
-"""Runs that are killed, interrupted or run out of disk, in processes of their own, end with the same bytes."""
+"""Runs that are killed, interrupted or run out of disk, in separate processes, end with the same bytes."""
 
 import os
 import random
@@ -80,7 +80,7 @@ WORDS = ["train", "--env", "walker2d", "--method", "true", "--budget", "smoke", 
 
 
 def qdil_train(folder: Path, first: str = "") -> subprocess.Popen:
-    """``qdil train`` in a process of its own that saves often; ``first`` is a statement that runs before it."""
+    """``qdil train`` in a separate process that saves often; ``first`` is a statement that runs before it."""
     words = [*WORDS, str(folder), "--save-seconds", "0"]
     code = f"import resource, signal, sys; from qdil.cli import main\n{first}\nsys.exit(main({words!r}))"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

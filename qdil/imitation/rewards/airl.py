@@ -1,8 +1,9 @@
 """AIRL as the paper uses it (Appendix C): a discriminator D(s, a, s') trained as GAIL's, its log-odds as the reward.
 
 r = log D(s, a, s') − log(1 − D(s, a, s')), which is the discriminator's logit: either sign, no bound.
-Not to be confused with the AIRL of Fu et al., whose discriminator has the form exp(f)/(exp(f) + π(a|s)) with
-f(s, s') = g(s) + γh(s') − h(s), so that g recovers a reward; nor with GAIL, whose reward −log(1−D) is never negative.
+This is not the AIRL of Fu et al., whose discriminator has the form exp(f)/(exp(f) + π(a|s)) with
+f(s, s') = g(s) + γh(s') − h(s), so that g recovers a reward. It is not GAIL either, whose reward −log(1−D) is never
+negative.
 The paper's discriminator is plain logistic regression, and its text mentions no gradient penalty, so there is none.
 
 Reference

@@ -3,11 +3,11 @@
 Signs: D_ψ = sigmoid(logit) is the probability that a step is the *expert's*. The discriminator minimises
 E_D[−log D] + E_π[−log(1−D)]. The reward of a step is −log(1−D) = softplus(logit) ≥ 0: higher for steps that look like
 the expert's, and never negative, so a robot gains by staying alive whatever it does.
-Not to be confused with AIRL's reward log D − log(1−D), which has either sign.
+AIRL's reward is another one: log D − log(1−D), which has either sign.
 
-Departures from the authors' released program: expert and policy observations share one normaliser (``expert_obs``);
-expert rows are drawn at random (there: always the first batch); the gradient penalty, which the paper does not mention,
-mixes per sample (``penalty_mixing``; there: per element).
+Departures from the authors' released program: expert and policy observations share one normaliser (``expert_obs``).
+Expert rows are drawn at random; the program always takes the first batch. The gradient penalty, which the paper does
+not mention, mixes per sample; the program mixes per element (``penalty_mixing``).
 
 References
 - J. Ho, S. Ermon, 2016. Generative Adversarial Imitation Learning. arXiv:1606.03476.
@@ -48,7 +48,7 @@ def gradient_penalty(logit: Any, expert: jax.Array, policy: jax.Array, mix: jax.
 
 
 def cross_entropy(expert_logit: jax.Array, policy_logit: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """E_D[−log D] + E_π[−log(1−D)], from logits (N,) of expert and of policy rows, and which share D gets right."""
+    """E_D[−log D] + E_π[−log(1−D)], from logits (N,) of expert and policy rows; also the shares that D gets right."""
     total = jnp.mean(jax.nn.softplus(-expert_logit)) + jnp.mean(jax.nn.softplus(policy_logit))
     info = {
         "discriminator_loss": total,

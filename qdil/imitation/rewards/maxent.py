@@ -5,7 +5,7 @@ policy that is optimal for r_ψ. Here π is the policy in training, and its fres
 
 This gradient alone would let r_ψ grow without bound on expert steps and fall without bound on policy steps, so the
 network's output passes through tanh: r ∈ (−1, 1).
-Not to be confused with maximum-entropy reinforcement learning (soft actor-critic), which adds entropy to the return.
+This is not maximum-entropy reinforcement learning (soft actor-critic), which adds entropy to the return.
 
 References
 - B. D. Ziebart, A. Maas, J. A. Bagnell, A. K. Dey, 2008. Maximum Entropy Inverse Reinforcement Learning. AAAI.

@@ -1,15 +1,15 @@
 """PWIL (eqs. 11-15): the reward is high where a step is close to demonstrated steps that are not used up yet.
 
 Each of the N expert rows begins an episode with mass 1/N, and each step of the policy has mass 1/T, T the time limit.
-A step takes its mass from expert rows, nearest first, from those that have some left (eqs. 13, 14). Mass that was taken
-is gone until the episode ends. The cost c of a step is the sum of distance times mass taken, and
+A step takes its mass from the nearest expert rows that have some left (eqs. 13, 14). Mass that was taken is not
+available again until the episode ends. The cost c of a step is the sum of distance times mass taken, and
 r = α exp(−β T c / √F) ∈ (0, α] with F the number of inputs and α = β = 5: the decreasing f of eq. 15, from Dadashi et
 al. The sum of the costs bounds the Wasserstein distance between the episode and the demonstrations from above.
 
 Distances are Euclidean over (s, a, δ), each input divided by its spread over the demonstrations, as in Dadashi et al.
 Masses are integers, in units of 1/(N T), so that rounding loses none.
 Departure from the authors' released program: mass stays taken for the rest of the episode. ``pwil_coupling=step``
-restores it after every step, as there; the reward is then a function of the distance to the nearest rows.
+restores it after every step, as the program does; the reward then depends only on the distance to the nearest rows.
 
 Reference
 - R. Dadashi, L. Hussenot, M. Geist, O. Pietquin, 2020. Primal Wasserstein Imitation Learning. arXiv:2006.04678.
@@ -25,10 +25,10 @@ from qdil.imitation.reward_model import InputModel, Inputs, features
 
 
 class PwilState(NamedTuple):
-    """The expert's features in units of their spread; they never change during a run."""
+    """The expert's features in units of their spread. They are constant during a run."""
 
     atoms: jax.Array  # (N, F)
-    spread: jax.Array  # (F,) by which features are divided
+    spread: jax.Array  # (F,) the divisor of each feature
 
 
 def distances(x: jax.Array, atoms: jax.Array) -> jax.Array:
@@ -41,9 +41,9 @@ def distances(x: jax.Array, atoms: jax.Array) -> jax.Array:
 def couple(distance: jax.Array, mass: jax.Array, amount: int) -> tuple[jax.Array, jax.Array]:
     """Couple one step of each of E robots with N expert rows, greedily (eqs. 13, 14).
 
-    ``distance`` (E, N); ``mass`` (E, N) int32 is what each row has left. Takes ``amount`` of mass for every robot from
-    its nearest rows that have some, or all that is left if that is less. Returns the remaining mass (E, N) and the cost
-    (E,): the sum of distance times mass taken.
+    ``distance`` (E, N); ``mass`` (E, N) int32 is the mass left in each row. Every robot takes ``amount`` of mass from
+    its nearest rows that have some; if less than ``amount`` is left, it takes all. Returns the remaining mass (E, N)
+    and the cost (E,): the sum of distance times mass taken.
     """
     robots = jnp.arange(len(distance))
 
@@ -70,7 +70,7 @@ def pwil(config: Config, widths: Inputs) -> InputModel:
     def init(key: jax.Array, expert: Inputs) -> PwilState:
         x = features(expert)
         spread = jnp.std(x, axis=0)
-        spread = jnp.where(spread < 1e-3, 1.0, spread)  # a feature that never changes there is not divided
+        spread = jnp.where(spread < 1e-3, 1.0, spread)  # features that are constant over the rows are not divided
         return PwilState(x / spread, spread)
 
     def begin(state: PwilState, num_envs: int) -> jax.Array:

@@ -1,14 +1,14 @@
 """VAIL (eqs. 5, 6, 8): GAIL whose discriminator sees a step through an information bottleneck.
 
-Also known as the variational discriminator bottleneck. An encoder E'(z|s, a, δ) = N(μ, diag σ²) maps a step to a latent
-vector z, and the discriminator D reads z alone. With expert and policy steps in equal parts as the mixture,
+It is also known as the variational discriminator bottleneck. An encoder E'(z|s, a, δ) = N(μ, diag σ²) maps a step to a
+latent vector z, and the discriminator D reads z alone. With expert and policy steps in equal parts as the mixture,
 min_{D,E'} max_{β≥0} E_D[−log D(z)] + E_π[−log(1−D(z))] + β (E_mixture[KL(E'(z|·) ‖ N(0, I))] − I_c),  z ~ E'.
 Signs are as in GAIL; the reward is −log(1−D(μ)) ≥ 0.
 
 Eqs. 5 and 8 print the expert's term as log(−D(z)), which is undefined for D ∈ (0, 1). We take −log D(z), as in Peng et
 al. The gradient penalty is GAIL's, taken through the mean latent μ.
 Departure from the authors' released program: β adapts and z is sampled (``vail_beta=fixed``: β = 1 and z = μ, as
-there).
+in that program).
 
 Reference
 - X. B. Peng, A. Kanazawa, S. Toyer, P. Abbeel, S. Levine, 2018. Variational Discriminator Bottleneck: Improving

@@ -1,4 +1,4 @@
-"""Lemma 1's experiments that the results file lacks, computed and added to it (see ``qdil.lab.lemma.results``)."""
+"""Computes the experiments of Lemma 1 that the results file lacks and adds them (see ``qdil.lab.lemma.results``)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,8 +13,8 @@ from qdil.lab.lemma.results import RobotTrial
 from qdil.runs import manifest
 from qdil.runs.folder import RESULTS
 
-PROBLEMS = {"smoke": 50, "laptop": 400, "full": 400}  # random MDPs, each with a policy and an archive of its own
-SEED = 1  # that the random problems are drawn from
+PROBLEMS = {"smoke": 50, "laptop": 400, "full": 400}  # random MDPs, each with its own policy and archive
+SEED = 1  # of the random problems
 FALLS = 0.5  # largest probability of a fall in a step, where episodes can end early
 
 
@@ -26,7 +26,7 @@ def compute_missing(
     settings: TabularPPO | None = None,
     effort: robot.Effort | None = None,
 ) -> dict[str, Any]:
-    """Add what the file lacks of the small problems and of the robot ``env``, and return its ``environments``.
+    """Add the missing results of the small problems and of the robot ``env``; return the file's ``environments``.
 
     ``settings`` and ``effort`` None: the defaults. Existing results stay as they are. ``report`` is called with a line
     of text per seed. Raises ConfigError for a budget or robot that does not exist.

@@ -13,7 +13,7 @@ from qdil.rl.vppo import gae
 
 
 class TabularPPO(NamedTuple):
-    """One iteration of PPO with a table as policy. Constants are the robots' where they mean the same for a table."""
+    """One iteration of PPO with a table as policy. Constants that apply to a table too are those of the robots."""
 
     horizon: int = 12  # T, steps (ours)
     episodes: int = 128  # sampled per iteration (ours)
@@ -33,7 +33,7 @@ STATIC = ("horizon", "episodes", "minibatches", "epochs")  # the settings that s
 def improve(key: jax.Array, mdp: Mdp, theta: jax.Array, occupied: jax.Array, settings: TabularPPO) -> jax.Array:
     """θ (S, A) after one iteration of PPO-clip on p + q·1[m ∈ A_e]: sample episodes, then several epochs of Adam.
 
-    As for the robots, the reward of a step is that of its whole episode, GAE's critic sees the state alone, and
+    As for the robots, the reward of a step is that of its whole episode, GAE's critic sees only the state, and
     advantages are normalised within each minibatch. The critic is the mean return from each state in the sampled
     episodes. A time limit is an end, since Lemma 1's return ends with the episode. Raises ValueError if
     ``minibatches`` does not divide ``episodes``.

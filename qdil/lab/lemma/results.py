@@ -25,7 +25,7 @@ class RobotTrial(NamedTuple):
 
     seed: int
     known: float  # share of the old policy's episodes that fall into filled cells of the archive
-    episodes: int  # played by either policy
+    episodes: int  # played by each of the two policies
     found_old: int  # episodes of the old policy with m ∈ A_e
     found_new: int
     return_old: float  # mean sum of bonuses per episode: what PPO maximises, but for the discount
@@ -35,7 +35,7 @@ class RobotTrial(NamedTuple):
 
     @property
     def change(self) -> float:
-        """Of the estimated P(m ∈ A_e | π)."""
+        """The change of the estimated P(m ∈ A_e | π)."""
         return (self.found_new - self.found_old) / self.episodes
 
 
@@ -63,9 +63,9 @@ def trials_of(environment: Mapping[str, Any]) -> list[RobotTrial]:
 class Changes(NamedTuple):
     """By how much P(m ∈ A_e | π) changed in the trials of one environment, for claim C14."""
 
-    improvement: str  # what lies between before and after, such as "15 PPO updates"
+    improvement: str  # what changed the policy, such as "15 PPO updates"
     trials: list[float]  # a change per trial
-    by_seed: list[float]  # the mean over the trials of a seed; a random problem is a seed of its own
+    by_seed: list[float]  # the mean over the trials of a seed; each random problem counts as its own seed
 
 
 def changes(environment: Mapping[str, Any]) -> Changes:

@@ -68,7 +68,7 @@ def run_trials(
 
 
 def _config(env: str, method: str, budget: str, seed: int) -> Config:
-    """The budget's settings, but evaluated one sampled episode per robot, so that episodes can be counted."""
+    """The budget's settings, but every robot is evaluated over one sampled episode, so that episodes can be counted."""
     num_envs = make_config(env, method, budget, seed).ppo.num_envs
     changes = {"sample_actions": True, "episodes": 1, "candidates": num_envs, "bonus_p": 0.0, "bonus_q": 1.0}
     return make_config(env, method, budget, seed, **changes)
@@ -77,7 +77,7 @@ def _config(env: str, method: str, budget: str, seed: int) -> Config:
 def _trials_of_seed(config: Config, effort: Effort) -> list[RobotTrial]:
     old = _with_policy_of(_warmed_up(config, effort.warmup), ppga.begin(config, None))
     seen = play(old, effort.rounds, stream=0)
-    before = play(old, effort.rounds, stream=1)  # not the episodes that chose the archive
+    before = play(old, effort.rounds, stream=1)  # other episodes than those that define the archive
     grids = {known: make_archive(seen, config.ppga.cells, known) for known in effort.known}
     return [_trial(old, before, occupied, known, effort) for known, occupied in grids.items()]
 
@@ -104,7 +104,7 @@ def _warmed_up(config: Config, updates: int) -> Search:
 
 
 def _with_policy_of(teacher: Search, search: Search) -> Search:
-    """``search`` with the policy, statistics and robots of ``teacher``, but with a critic of its own.
+    """``search`` with the policy, statistics and robots of ``teacher``, but with its own critic.
 
     The teacher's critic has learned the true reward, which is not the bonus.
     """
@@ -121,7 +121,7 @@ def improve(search: Search, occupied: np.ndarray, updates: int) -> Search:
 
 
 def play(search: Search, rounds: int, stream: int) -> Sample:
-    """``rounds`` times ``candidates`` whole episodes of θ_μ with sampled actions; those that diverged are left out.
+    """``rounds`` times ``candidates`` whole episodes of θ_μ with sampled actions; diverged episodes are left out.
 
     Equal ``stream`` numbers draw equal random numbers.
     """
@@ -137,8 +137,8 @@ def play(search: Search, rounds: int, stream: int) -> Sample:
 def make_archive(seen: Sample, cells: int, known: float) -> np.ndarray:
     """A grid (cells, …) bool whose most visited cells are filled, as many as hold a share ``known`` of the episodes.
 
-    The policy that was ``seen`` then finds an empty cell in about 1 - ``known`` of its episodes, as the policy of a
-    search does that has filled the cells around it.
+    The policy of ``seen`` then finds an empty cell in about 1 - ``known`` of its episodes, like the policy of a search
+    that has already filled the cells around it.
     """
     shape = (cells,) * seen.measures.shape[1]
     visits = np.zeros(shape, int)

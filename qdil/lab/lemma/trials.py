@@ -19,7 +19,7 @@ FILLED = 0.5  # probability that a cell of the archive is filled
 
 
 class LemmaProblem(NamedTuple):
-    """What a trial starts from."""
+    """The start of a trial."""
 
     mdp: Mdp
     theta: jax.Array  # (S, A) logits of the old policy

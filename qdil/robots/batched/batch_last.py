@@ -6,7 +6,7 @@ finds only 3 of a kind side by side. With the batch axis last, (…, 3, E), it f
 
 JAX has no option for that, so ``batch_last`` traces the function of one robot (``jax.make_jaxpr``) and interprets the
 trace operation by operation. Each rule below turns an operation on one robot's array (…) into the same operation on all
-robots' arrays (…, E). An operation without a rule is given to ``jax.vmap``, which is correct, too, but slower.
+robots' arrays (…, E). ``jax.vmap`` batches an operation without a rule, which is also correct but slower.
 """
 
 import math
@@ -23,7 +23,7 @@ from jax.extend.core import Jaxpr, JaxprEqn, Literal
 from qdil.robots.batched import fast_trig
 from qdil.robots.batched.constant_indices import NUMPY_RULES, gathered_ranges, is_constant
 
-FEW = 8  # sums of at most so many terms are written out as additions: XLA's reductions are made for longer sums
+FEW = 8  # sums of at most so many terms are written out as additions, since XLA's reductions are slow for short sums
 
 
 class Batched(NamedTuple):
@@ -40,8 +40,8 @@ RULES: dict[str, Rule] = {}  # by the name of the operation's primitive
 def batch_last(function: Callable[..., Any], *template: Any) -> Callable[..., Any]:
     """The function of E robots' arrays that applies ``function`` to each robot; ``template`` gives one robot's shapes.
 
-    As with ``jax.vmap(function)``, its arguments and results are trees of arrays with axis (E) in front, here of all of
-    them; they are transposed at its beginning and end. Results differ from ``jax.vmap``'s by rounding only.
+    As with ``jax.vmap(function)``, its arguments and results are trees of arrays with axis (E) in front; here every
+    argument must have it. It transposes arguments and results. Results differ from ``jax.vmap``'s by rounding only.
     """
     trace, shapes = jax.make_jaxpr(function, return_shape=True)(*template)
     consts = [np.asarray(const) for const in trace.consts]
@@ -102,12 +102,12 @@ def _by_vmap(eqn: JaxprEqn, operands: Sequence[Value]) -> list[Value]:
     """The operation as ``jax.vmap`` batches it, along the last axis."""
     axes = [-1 if isinstance(operand, Batched) else None for operand in operands]
     arrays = [operand.values if isinstance(operand, Batched) else operand for operand in operands]
-    result = jax.vmap(lambda *each: _bind(eqn, *each), in_axes=axes, out_axes=-1)(*arrays)
+    result = jax.vmap(lambda *one_robot: _bind(eqn, *one_robot), in_axes=axes, out_axes=-1)(*arrays)
     return [Batched(one) for one in (result if eqn.primitive.multiple_results else [result])]
 
 
 def _scan(eqn: JaxprEqn, operands: Sequence[Value], count: int) -> list[Value]:
-    """A ``lax.scan`` whose body is interpreted for all robots. Its carry is batched, even if it begins as shared."""
+    """A ``lax.scan`` whose body is interpreted for all robots. Its carry is batched, even if robots share its start."""
     inner, num_consts, num_carry = eqn.params["jaxpr"], eqn.params["num_consts"], eqn.params["num_carry"]
     consts, operands = operands[:num_consts], operands[num_consts:]
     first_carry, sequences = operands[:num_carry], operands[num_carry:]

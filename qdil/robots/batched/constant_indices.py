@@ -3,8 +3,8 @@
 A simulator sorts its links by kind of joint, works on each kind, and restores the order. In the trace each sorting is a
 gather: a lookup of rows by index. The indices are constants, but some count from the end, and a few integer operations
 of the trace correct that. ``NUMPY_RULES`` carries out those operations while tracing, so that the indices stay known.
-``gathered_ranges`` then says which slices replace the gather. Slices are faster: XLA fuses a gather into its consumers
-and recomputes its source for each number that it reads.
+``gathered_ranges`` then finds the slices that replace the gather. Slices are faster: XLA fuses a gather into its
+consumers and recomputes its source for each number that it reads.
 """
 
 from collections.abc import Callable, Sequence

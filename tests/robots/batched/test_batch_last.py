@@ -1,4 +1,4 @@
-"""Functions of many robots, robots last in memory, against ``jax.vmap`` of the same function."""
+"""Functions of many robots, with the batch axis last in memory, against ``jax.vmap`` of the same function."""
 
 import jax
 import jax.numpy as jnp
@@ -117,7 +117,7 @@ def test_a_loop_carries_each_robots_own():
     agree(function, drawn(3, 3), drawn(6, 3, seed=2))
 
 
-def test_robots_stay_last_and_few_products_are_written_out():
+def test_the_batch_axis_stays_last_and_short_products_are_written_out():
     many = batch_last(lambda x: jnp.tanh(SHARED @ x)[1:] + SHARED[1:, 0], jnp.zeros(3))
     trace = jax.make_jaxpr(lambda x: many(x))(jnp.zeros((7, 3)))
     moved_in, *work, moved_out = trace.jaxpr.eqns

@@ -23,7 +23,7 @@ def test_angles_of_cosines_and_sines(ours, numpys):
     np.testing.assert_allclose(jax.jit(ours)(x), numpys(x.astype(np.float64)), atol=4e-7)
 
 
-def test_what_is_no_number_has_no_angle():
+def test_nan_and_infinity_have_no_angle():
     """So that a robot whose physics has become infinite is seen to be."""
     for y, x in ((np.nan, 1.0), (1.0, np.nan), (np.nan, np.nan), (np.inf, np.inf)):
         assert np.isnan(fast_trig.atan2(np.float32(y), np.float32(x)))
