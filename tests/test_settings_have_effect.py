@@ -31,7 +31,7 @@ OTHERS = {
     "threshold_min": 1e3,
     "archive_learning_rate": 0.1,
     "giril_steps": 30,
-    "eval_batch_size": 8,
+    "eval_batch_size": 4,
 }
 SMALL = {"iterations": 3, "giril_steps": 20, "eval_chunk_steps": 5}
 METHODS = {"vail": "mconbo-vail", "giril": "giril", "pwil": "pwil"}  # by how a setting's name begins
