@@ -33,7 +33,7 @@ lint: $(VENV)/.installed
 $(VENV)/.installed: environment.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(RUN) -m pip install --quiet --require-hashes --no-deps -r environment.lock
-	$(RUN) -m pip install --quiet --no-deps --no-build-isolation --editable .
+	$(RUN) -m pip install --quiet --no-deps --no-build-isolation --config-settings editable_mode=compat --editable .
 	touch $@
 
 sweep: $(VENV)/.installed  ## train what is missing (SWEEP="envs=walker2d studies=main seeds=1,2,3", or methods=true,gail)

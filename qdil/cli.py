@@ -346,9 +346,9 @@ def main(argv: list[str] | None = None) -> int:
     gc.set_threshold(100_000, 20, 20)
     atexit.register(gc.freeze)  # so that the collection at exit skips them, too
     try:
+        use_all_cores()  # before a user's module can start JAX's devices
         plugins.request(_imports(sys.argv[1:] if argv is None else argv))
         args = _parser().parse_args(argv)
-        use_all_cores()
         return args.run(args)
     except ConfigError as error:
         print(f"qdil: {error}", file=sys.stderr)

@@ -107,7 +107,7 @@ def register(name: str, summary: str, imitates: bool = True, signed: bool = Fals
 
     def add(function: Build) -> Build:
         taken = _BASES.get(name)
-        if taken is not None and taken.function is not function:
+        if taken is not None and not _is_same(taken.function, function):
             raise ConfigError(f"there is already a reward model called '{name}'.")
         if not re.fullmatch("[a-z][a-z0-9_-]*", name):
             raise ConfigError(
@@ -119,6 +119,15 @@ def register(name: str, summary: str, imitates: bool = True, signed: bool = Fals
         return function
 
     return add
+
+
+def _is_same(one: Build | str, other: Build) -> bool:
+    """Whether two functions are one, or the same definition executed again, as when a notebook's cell is re-run."""
+
+    def place(function: Build | str) -> tuple[str, str]:
+        return getattr(function, "__module__", ""), getattr(function, "__qualname__", "")
+
+    return one is other or (not isinstance(one, str) and place(one) == place(other))
 
 
 def bases() -> dict[str, Base]:

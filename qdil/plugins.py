@@ -18,7 +18,17 @@ VARIABLE = "QDIL_IMPORT"  # names of modules, separated by commas
 
 
 def request(modules: list[str]) -> None:
-    """Request ``modules`` by name. The next ``load`` imports them, in this process and in processes that it starts."""
+    """Request ``modules`` by name. The next ``load`` imports them, in this process and in processes that it starts.
+
+    Those processes may work in other folders, so the working directory joins Python's path for them. Raises ConfigError
+    for the name of a file.
+    """
+    for name in modules:
+        if name.endswith(".py"):
+            raise ConfigError(f"--import takes the name of a module, without .py: --import {name.removesuffix('.py')}.")
+    if modules:
+        paths = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+        os.environ["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*paths, os.getcwd()]))
     os.environ[VARIABLE] = ",".join(dict.fromkeys([*_requested(), *modules]))
     load.cache_clear()
 

@@ -119,9 +119,11 @@ def _for_measures(budget: str, k: int) -> dict[str, Any]:
 
     ``num_envs`` becomes the smallest multiple of 4 (1 + k) that is not below the budget's, so that the 1 + k copies of
     VPPO can be shared by four devices. ``cells`` per measure shrinks if k > 2, so that the grid's cells^k cells stay
-    near the budget's number.
+    near the budget's number. It grows if k = 1, to the power of 3/2: a fifth of the cells must hold the demonstrators,
+    and a share of an episode's steps cannot fill as many cells as a square has.
     """
     chosen = BUDGETS[budget]
     envs, cells = chosen.get("num_envs", PPO.num_envs), chosen.get("cells", PPGA.cells)
     per_copy = 4 * -(-envs // (4 * (1 + k)))
-    return {"num_envs": per_copy * (1 + k), "cells": max(2, round(cells ** (2 / k))) if k > 2 else cells}
+    power = {1: 3 / 2, 2: 1}.get(k, 2 / k)
+    return {"num_envs": per_copy * (1 + k), "cells": max(2, round(cells**power))}

@@ -136,7 +136,7 @@ def judge(root: Path = RESULTS, budget: str = "laptop", envs: Sequence[str] | No
     robots = tuple(PAPER_ROBOTS if envs is None else envs)
     unknown = [env for env in robots if env not in PAPER_ROBOTS]
     if unknown:
-        raise ConfigError(f"unknown robot '{unknown[0]}'; choose one of {', '.join(PAPER_ROBOTS)}.")
+        raise ConfigError(f"the claims are not about '{unknown[0]}', but about {', '.join(PAPER_ROBOTS)}.")
     changes = _lemma_changes(budget, root)
     values = {env: _values(env, budget, root) for env in robots}
     problems = dict.fromkeys((SMALL_MDP, *(name for name in changes if name not in PAPER_ROBOTS)))

@@ -20,7 +20,7 @@ from qdil.explorer.rollouts import Rollout
 from qdil.explorer.shown import Runs, Shown
 from qdil.extras import needs
 from qdil.files import replace_file
-from qdil.imitation.demos import select
+from qdil.imitation.selection import select, top_fifth
 from qdil.robots import shapes
 from qdil.robots.shapes import Pose
 
@@ -73,7 +73,10 @@ def choose(shown: Shown, count: int) -> list[int]:
     try:
         rows = select(returns, measures, int(np.prod(archive["cells"])), count)
     except ValueError as error:
-        raise ConfigError(f"'{shown.name}' has too few elites: {error}") from None
+        pool = len(top_fifth(returns, int(np.prod(archive["cells"]))))
+        raise ConfigError(
+            f"'{shown.name}' has too few elites to show {count}: {pool} are in the best fifth of its cells."
+        ) from error
     return [int(cell) for cell in np.asarray(archive["index"])[rows]]
 
 

@@ -123,7 +123,7 @@ def actions_explained(split: Split, names: Sequence[str]) -> dict[str, float]:
 
     ``names`` are fields of ``Demonstrations``. The function is fitted to ``split.learned`` by ridge regression
     (``RIDGE`` per row, every column divided by its deviation), so that it does not overfit a few rows. Shares are
-    at most 1, and negative if a constant explains more.
+    at most 1, negative if a constant explains more, and NaN for actions that never change.
     """
     held_out = Demonstrations(*(getattr(split.held_out, name)[:, 0] for name in Demonstrations._fields))
     known = _columns(split.learned, names)
@@ -136,7 +136,8 @@ def actions_explained(split: Split, names: Sequence[str]) -> dict[str, float]:
     def share(rows: Demonstrations) -> float:
         action = np.asarray(rows.action, float)
         residual = action - mean - (_columns(rows, names) - center) / spread @ weights
-        return float(1 - np.square(residual).sum() / np.square(action - action.mean(axis=0)).sum())
+        variation = np.square(action - action.mean(axis=0)).sum()
+        return float(1 - np.square(residual).sum() / variation) if variation else float("nan")
 
     return {"learned from": share(split.learned), "held out": share(held_out)}
 

@@ -167,6 +167,8 @@ def _proxy(env: Any, feet: jax.Array, touches: float) -> Callable[[Any], jax.Arr
 
     def proxy(physics: Any) -> jax.Array:
         contacts = contact.get(env.sys, physics.x)
+        if contacts is None:
+            raise ConfigError("this robot of Brax has no collision shapes, so no foot can touch the ground.")
         touching = contacts.dist <= touches
         of_foot = (contacts.link_idx[0] == feet[:, None]) | (contacts.link_idx[1] == feet[:, None])
         return jnp.any(of_foot & touching, axis=1).astype(jnp.float32)

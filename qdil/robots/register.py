@@ -41,8 +41,9 @@ def register_robot(
     entry-point group ``qdil.plugins`` of an installed package.
 
     Raises ConfigError for a name that is taken or is not made of small letters, digits, - and _; for a robot without
-    feet or with more than 6; for a foot named twice. Whether feet are links of the robot is known only when the robot
-    is built (``make``), which raises ConfigError, too.
+    feet or with more than 6; for a foot named twice; for an environment whose functions do not fit its fields. Whether
+    feet are links of the robot is known only when the robot is built (``make``), which raises ConfigError, too. An
+    environment that is registered again under its name takes the place of the first.
     """
     if not re.fullmatch("[a-z][a-z0-9_-]*", name):
         raise ConfigError(f"'{name}' cannot name a robot: use small letters, digits, - and _, a letter first.")
@@ -50,7 +51,7 @@ def register_robot(
         raise ConfigError(f"robot '{name}': give either brax_env with feet, or an environment.")
     if isinstance(feet, str):
         raise ConfigError(f"robot '{name}': feet={feet!r} must be a list of names, for example ['{feet}'].")
-    renamed = None if environment is None else environment._replace(name=name)
+    renamed = None if environment is None else _renamed(name, environment)
     robot = Robot(name, brax_env, tuple(feet), renamed)
     names = robot.measure_names
     if not 1 <= len(names) <= MOST_MEASURES:
@@ -58,9 +59,26 @@ def register_robot(
         raise ConfigError(f"robot '{name}' has {len(names)} {what}; it needs between 1 and {MOST_MEASURES}.")
     if len(set(names)) < len(names):
         raise ConfigError(f"robot '{name}' names a foot twice: {', '.join(names)}.")
-    if _ROBOTS.get(name, robot) != robot:
+    taken = _ROBOTS.get(name, robot)
+    if taken != robot and (renamed is None or taken.environment is None):  # a cell that is re-run makes it anew
         raise ConfigError(f"there is already a robot called '{name}'.")
+    if renamed is not None:
+        from qdil.robots.environment import problem_of
+
+        if problem := problem_of(renamed):
+            raise ConfigError(f"robot '{name}': {problem}.")
     _ROBOTS[name] = robot
+
+
+def _renamed(name: str, environment: Environment) -> Environment:
+    """``environment`` under its registered name. Raises ConfigError if it is something else."""
+    from qdil.robots.environment import Environment
+
+    if not isinstance(environment, Environment):
+        raise ConfigError(f"robot '{name}': environment must be a qdil.robots.environment.Environment.")
+    if isinstance(environment.measure_names, str):
+        raise ConfigError(f"robot '{name}': measure_names must be a tuple of names, not one text.")
+    return environment._replace(name=name, measure_names=tuple(environment.measure_names))
 
 
 def robot_names() -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from qdil import ppga
-from qdil.config import Config, same_but_for_speed, to_json, with_current_names
+from qdil.config import Config, make_config, same_but_for_speed, to_json, with_current_names
 from qdil.devices import hosts
 from qdil.engine.engine import Engine
 from qdil.errors import ConfigError
@@ -143,6 +143,8 @@ def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
         engine = Engine(config)  # compiles nothing yet
         if demos_file is None:
             return None
+        if not demos_file.is_file():
+            raise ConfigError(f"no demonstrations at {demos_file}: make them with '{_demos_command(config)}'.")
         demos = demonstrations.load(
             demos_file,
             config.env,
@@ -156,6 +158,14 @@ def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
     except ValueError as error:
         raise ConfigError(str(error)) from None
     return demos
+
+
+def _demos_command(config: Config) -> str:
+    """The command that records the demonstrations that a run learns from."""
+    count = config.demos.demo_episodes
+    usual = make_config(config.env, "true", config.budget).demos.demo_episodes
+    command = f"qdil demos --env {config.env} --budget {config.budget}"
+    return command if count == usual else f"{command} --episodes {count}"
 
 
 def _iterations(

@@ -132,8 +132,8 @@ def open_page(budget: str, env: str, seed: int, note: str | None = None) -> Page
     notebook was started. ``note`` (Markdown) is a further line of the banner. Raises ConfigError for a budget, robot or
     seed that does not exist.
     """
+    use_all_cores()  # before a user's module can start JAX's devices
     make_config(env, "true", budget, seed)
-    use_all_cores()
     os.chdir(ROOT)
     device = f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
     facts = {"budget": budget, "robot": env, "seed": seed, "device": device, "commit": manifest.commit()}

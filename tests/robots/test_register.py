@@ -1,5 +1,6 @@
 """Registering robots: what is refused and in which words, and what an own environment brings with it."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from probes import counter
@@ -7,7 +8,7 @@ from probes import counter
 from qdil.config import BUDGETS, make_config
 from qdil.errors import ConfigError
 from qdil.robots import register
-from qdil.robots.environment import Environment
+from qdil.robots.environment import Environment, Outcome
 from qdil.robots.register import register_robot
 
 
@@ -27,7 +28,18 @@ def refused(call, *args, **options) -> str:
 
 
 def of_measures(k: int) -> Environment:
-    return counter(4.0)._replace(measure_names=tuple(f"m{i}" for i in range(k)))
+    """The counter with its first proxy k times."""
+    env = counter(4.0)
+
+    def again(state):
+        return state._replace(proxy=jnp.repeat(state.proxy[:1], k))
+
+    def step(state, action):
+        after, outcome = env.step(state, action)
+        return again(after), outcome
+
+    names = tuple(f"m{i}" for i in range(k))
+    return env._replace(measure_names=names, reset=lambda key: again(env.reset(key)), step=step)
 
 
 @pytest.mark.parametrize("name", ["", "two words", "a/b", "../up", "Dog", "1st", "dög"])
@@ -74,6 +86,28 @@ def test_an_unknown_robot_is_refused_with_those_there_are():
     for call in (register.find, register.make, register.count_measures, register.backends_of):
         sentence = refused(call, "dog")
         assert "'dog'" in sentence and "walker2d" in sentence and "ant" in sentence
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"obs_size": 3}, "obs of reset has shape (1,) and type float32; it needs shape (3,)"),
+        ({"measure_names": ("a", "b")}, "proxy of reset has shape (1,) and type float32; it needs shape (2,)"),
+        ({"measure_names": "ab"}, "measure_names must be a tuple of names"),
+        ({"step": lambda state, action: 3}, "reset or step cannot be traced by JAX (TypeError"),
+        ({"step": lambda state, action: (state, Outcome(action, action[0] > 0, action[0] > 0))}, "reward of step"),
+    ],
+)
+def test_an_environment_whose_functions_do_not_fit_is_refused(changes, named):
+    assert named in refused(register_robot, "dog", environment=of_measures(1)._replace(**changes))
+    assert "must be a qdil.robots.environment.Environment" in refused(register_robot, "dog", environment=3)
+
+
+def test_an_environment_made_anew_takes_its_predecessors_place():
+    for _ in range(2):  # as a notebook's cell that is executed twice
+        env = of_measures(2)
+        register_robot("dog", environment=env)
+        assert register.make("dog").step is env.step
 
 
 @pytest.mark.parametrize("k", range(1, 7))
