@@ -20,6 +20,8 @@ from qdil.rl import networks
 from qdil.robots import register
 from qdil.robots.environment import Environment, RobotState
 
+pytestmark = pytest.mark.compiles
+
 FLOATS = st.floats(width=32)
 
 

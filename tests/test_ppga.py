@@ -50,6 +50,7 @@ def test_the_expert_fills_what_can_be_filled_with_what_can_be_earned(expert):
     assert (np.diff(qd_score[[0, 4, 14, -1]]) > 0.05 * most).all()
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize(("k", "cells"), [(1, 10), (3, 3)])
 def test_one_dial_and_three_are_filled_too(k, cells):
     _, rows = trained(config_of("true", k, cells=cells), 50)

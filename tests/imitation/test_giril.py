@@ -24,6 +24,8 @@ from qdil.imitation.reward_model import Inputs
 from qdil.imitation.rewards.giril import LATENT_WITHOUT_ACTIONS, kl, loss
 from qdil.rl.networks import init_mlp
 
+pytestmark = pytest.mark.compiles
+
 TRAINED = {"reward_hidden": (32, 32), "giril_steps": 1000, "giril_learning_rate": 3e-3, "reward_batch": 64}
 
 

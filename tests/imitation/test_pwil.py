@@ -14,6 +14,8 @@ from scipy.optimize import linear_sum_assignment, linprog
 
 from qdil.imitation.rewards.pwil import couple, distances
 
+pytestmark = pytest.mark.compiles
+
 ROWS, TIME = 6, 9  # expert rows N, time limit T
 ROLLOUT, ROLLOUTS, ENVS = 7, 3, 3
 ALPHA, BETA = 5.0, 5.0

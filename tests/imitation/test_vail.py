@@ -11,6 +11,8 @@ from scipy.stats import norm
 from qdil.config import make_config
 from qdil.imitation.rewards.vail import encode, kl_to_standard_normal, loss, next_beta
 
+pytestmark = pytest.mark.compiles
+
 ROWS, FEATURES, LATENT = 6, 4, 3
 
 
