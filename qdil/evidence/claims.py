@@ -16,6 +16,7 @@ from qdil.evidence.report import markdown, overview, plain, table, write
 from qdil.evidence.verdicts import SMALL_MDP, Claim, Finding, Part, Verdict, find
 from qdil.lab.lemma import results
 from qdil.robots.register import PAPER_ROBOTS
+from qdil.robots.register import find as find_robot
 from qdil.runs.folder import RESULTS
 from qdil.runs.studies import STUDIES
 
@@ -134,9 +135,9 @@ def judge(root: Path = RESULTS, budget: str = "laptop", envs: Sequence[str] | No
     if budget not in BUDGETS:
         raise ConfigError(f"unknown budget '{budget}'; choose one of {', '.join(BUDGETS)}.")
     robots = tuple(PAPER_ROBOTS if envs is None else envs)
-    unknown = [env for env in robots if env not in PAPER_ROBOTS]
-    if unknown:
-        raise ConfigError(f"the claims are not about '{unknown[0]}', but about {', '.join(PAPER_ROBOTS)}.")
+    for env in robots:
+        if find_robot(env).name not in PAPER_ROBOTS:
+            raise ConfigError(f"the claims are not about '{env}', but about {', '.join(PAPER_ROBOTS)}.")
     changes = _lemma_changes(budget, root)
     values = {env: _values(env, budget, root) for env in robots}
     problems = dict.fromkeys((SMALL_MDP, *(name for name in changes if name not in PAPER_ROBOTS)))

@@ -87,8 +87,8 @@ def episode_by_hand(policies, i, position):
     return total, true, np.mean(proxies, axis=0), length
 
 
-@pytest.mark.parametrize("chunks", [1, 7])
-@pytest.mark.parametrize("batch", [1, 4, 1000])
+@pytest.mark.parametrize("chunks", [1, pytest.param(2, marks=pytest.mark.compiles), 7])
+@pytest.mark.parametrize("batch", [1, 4, pytest.param(5, marks=pytest.mark.compiles), 1000])
 def test_scores_equal_a_plain_loop_over_every_episode(policies, keys, batch, chunks):
     scores = scored(counter(BOUND), policies, keys, batch=batch, chunks=chunks)
     starts = np.asarray(start(counter(BOUND), keys.reshape(-1), 1).robot.physics).reshape(CANDIDATES, EPISODES)
