@@ -16,7 +16,7 @@ from qdil.imitation.reward_model import Demonstrations
 from qdil.methods import parse_method
 from qdil.qd import archive
 from qdil.qd.archive import Archives, Candidates
-from qdil.qd.xnes import XNES
+from qdil.qd.xnes import XNES, draw_center
 from qdil.rl import networks
 from qdil.rl.evaluate import Policies
 
@@ -28,7 +28,7 @@ class Search(NamedTuple):
     engine: Engine
     archives: Archives
     xnes: XNES
-    rng: np.random.Generator  # draws the elites of restarts
+    rng: np.random.Generator  # draws where the search starts and restarts
     demos: Demonstrations | None
     state: State
 
@@ -65,85 +65,115 @@ def begin(config: Config, demos: Demonstrations | None) -> Search:
         ppga.cells, engine.k, theta_size, engine.env.obs_size, ppga.archive_learning_rate, ppga.threshold_min
     )
     xnes_seed, elite_seed = np.random.SeedSequence(config.seed).spawn(2)
-    xnes = XNES(ppga.sigma0, engine.objectives, ppga.candidates, seed=xnes_seed)
+    rng = np.random.default_rng(elite_seed)
+    folded = ppga.fitness_coefficient == "folded"  # |c_0|: fitness is never minimised (section 4.1)
+    xnes = XNES(ppga.sigma0, engine.objectives, ppga.candidates, seed=xnes_seed, fold_first=folded)
+    xnes.reset(draw_center(ppga.xnes_center, engine.objectives, rng))
     key = jax.random.key(config.seed)
     engine.compile_all(key, demos)
     state = engine.init(key, demos)
-    return Search(config, engine, archives, xnes, np.random.default_rng(elite_seed), demos, state)
+    return Search(config, engine, archives, xnes, rng, demos, state)
 
 
 def iteration(search: Search) -> tuple[Search, Info]:
     """One QD iteration, Algorithm 1, lines 4-22."""
-    config, engine, demos, state = search.config, search.engine, search.demos, search.state
-    archives, xnes, rng = search.archives, copy.deepcopy(search.xnes), copy.deepcopy(search.rng)
-    occupied = jnp.asarray(archive.occupied(archives))
+    ppga, engine = search.config.ppga, search.engine
 
     # Gradients (lines 4-5): copy i of θ_μ is trained on objective i alone. The copies are discarded; the running
     # statistics and the robots continue from there.
-    copies = engine.train_copies(state, occupied, config.ppga.gradient_updates)
-    state = copies.state._replace(train_state=state.train_state)
+    copies = engine.train_copies(search.state, filled(search), ppga.gradient_updates, search.demos)
+    search = search._replace(state=copies.state._replace(train_state=search.state.train_state))
 
     # Branching (lines 6-11): candidates along sampled combinations of the gradients, scored over whole episodes.
+    xnes = copy.deepcopy(search.xnes)
     coefficients = xnes.ask()
-    policies, _ = engine.branch(state, copies.theta, coefficients)
-    key, episode_key = jax.random.split(state.key)
-    state = state._replace(key=key)
-    candidates = evaluate(search._replace(state=state), policies, episode_key)
+    policies, _ = engine.branch(search.state, copies.theta, coefficients)
+    search, candidates = evaluate_next(search, policies)
 
     # Archive (line 12, Algorithm 2) and search distribution (lines 14-15).
-    archives, improvement = archive.add(archives, candidates)
+    archives, improvement, accepted = archive.add(search.archives, candidates, ppga.rejects)
     xnes.tell(np.argsort(-improvement, kind="stable"), improvement)
+    search = search._replace(archives=archives, xnes=xnes)
+    restarts = not accepted.any() or xnes.check_stop(improvement)
+    if restarts and ppga.restart_order == "before-walk":
+        search = restart(search)
 
     # Walk (lines 16-17): θ_μ moves on the reward weighted by the xNES mean c_μ; cells just filled give no bonus.
-    occupied = jnp.asarray(archive.occupied(archives))
-    c_mu = walk_weights(config, archives, xnes)
-    walked = engine.train_policy(state, occupied, c_mu, config.ppga.walk_updates)
-    state, phases = walked.state, [copies, walked]
+    c_mu = walk_weights(search)
+    walked = engine.train_policy(search.state, filled(search), c_mu, ppga.walk_updates, search.demos)
+    search, phases = search._replace(state=walked.state), [copies, walked]
 
     # Reward model (line 18): a fresh rollout of the walked policy, from which the reward model alone learns.
-    reward_info: dict[str, jax.Array] = {}
-    if engine.model.learns:
-        assert demos is not None, "a reward model that learns needs demonstrations"
-        fresh = engine.rollout(state, occupied)
+    reward_info = walked.reward_info
+    if engine.learns_each_iteration:
+        search, fresh, reward_info = update_reward(search)
         phases.append(fresh)
-        state, reward_info = engine.update_reward(fresh.state, occupied, demos, fresh.transitions)
 
-    # Restart (lines 19-22): nothing was added, so start again from a random elite with its own statistics.
-    restarted = not improvement.any() or xnes.check_stop(improvement)
-    if restarted:
-        xnes.reset(np.zeros(engine.objectives))
-        elite = archive.random_elite(archives, rng)
-        if elite is not None:
-            state = engine.restart_at(state, elite)
+    # Restart (lines 19-22): nothing was added, so start again from a random elite.
+    if restarts and ppga.restart_order == "last":
+        search = restart(search)
 
-    info = _info(config, candidates, improvement, c_mu, restarted, phases, walked, reward_info)
-    return search._replace(archives=archives, xnes=xnes, rng=rng, state=state), info
+    return search, _info(search, candidates, accepted, c_mu, restarts, phases, walked, reward_info)
 
 
-def walk_weights(config: Config, archives: Archives, xnes: XNES) -> np.ndarray:
-    """c_μ (1+k,) of the walk (line 16): the xNES mean with |c_0|, so that fitness is never minimised; or fitness alone.
+def filled(search: Search) -> jax.Array:
+    """Which archive cells are filled (cells, …), on the device: the complement of A_e."""
+    return jnp.asarray(archive.occupied(search.archives))
 
-    Fitness alone is used for ``walk_weights=fitness``, and until a candidate exceeds ``threshold_min``, because before
-    that xNES has learned nothing.
+
+def update_reward(search: Search) -> tuple[Search, Trained, dict[str, jax.Array]]:
+    """The reward model learns from a fresh rollout of θ_μ (line 18). Also returns that rollout and measurements."""
+    assert search.demos is not None, "a reward model that learns needs demonstrations"
+    occupied = filled(search)
+    fresh = search.engine.rollout(search.state, occupied)
+    state, info = search.engine.update_reward(fresh.state, occupied, search.demos, fresh.transitions)
+    return search._replace(state=state), fresh, info
+
+
+def restart(search: Search) -> Search:
+    """Lines 19-22: xNES starts again and θ_μ becomes a random elite, unless the archive is empty.
+
+    The elite keeps its own observation statistics; ``restart_statistics=other`` gives it those of another random elite.
+    The reward model then learns from ``restart_rounds`` rollouts of it, before any of its candidates are scored.
     """
-    c_mu = np.array(xnes.mean, np.float32)
-    c_mu[0] = np.abs(c_mu[0])
-    fitness_alone = archives.soft.empty or config.ppga.walk_weights == "fitness"
-    return np.eye(len(c_mu), dtype=np.float32)[0] if fitness_alone else c_mu
+    ppga, engine = search.config.ppga, search.engine
+    xnes, rng = copy.deepcopy((search.xnes, search.rng))
+    xnes.reset(draw_center(ppga.xnes_center, engine.objectives, rng), ppga.restart_samples == "same")
+    search, elite = search._replace(xnes=xnes, rng=rng), archive.random_elite(search.archives, rng)
+    if elite is None:
+        return search
+    if ppga.restart_statistics == "other":
+        other = archive.random_elite(search.archives, rng)
+        assert other is not None
+        elite |= {name: other[name] for name in ("obs_mean", "obs_std")}
+    search = search._replace(state=engine.restart_at(search.state, elite))
+    for _ in range(ppga.restart_rounds if engine.model.learns else 0):
+        search, _, _ = update_reward(search)
+    return search
+
+
+def walk_weights(search: Search) -> np.ndarray:
+    """c_μ (1+k,) of the walk (line 16): the xNES mean, whose c_0 ≥ 0 unless coefficients are signed; or fitness alone.
+
+    Fitness alone is used for ``walk_weights=fitness``, and where all of c_μ is 0, because xNES has learned nothing
+    since it started: by weights of 0 the walk would not move.
+    """
+    ppga, c_mu = search.config.ppga, np.array(search.xnes.mean, np.float32)
+    fitness_alone = np.eye(len(c_mu), dtype=np.float32)[0]
+    return c_mu if ppga.walk_weights == "xnes" and c_mu.any() else fitness_alone
 
 
 def warm_up(search: Search, updates: int) -> tuple[Search, int, dict[str, float]]:
-    """A round of plain PPO on the method's own reward before the first iteration (ours, the same for every method).
+    """A round of plain PPO on the method's own reward, without bonus, before the first iteration (ours).
 
     A round does at most N2 of the remaining ``updates``, and a learned reward model is updated after it. Returns the
     number of updates done and two numbers for the run's metrics: environment ``steps`` and phases ``rolled_back``.
     """
     config, engine, demos = search.config, search.engine, search.demos
-    occupied = jnp.asarray(archive.occupied(search.archives))
-    done = min(config.ppga.walk_updates, updates)
-    trained = engine.train_policy(search.state, occupied, np.eye(engine.objectives)[0], done)
+    occupied, done = filled(search), min(config.ppga.walk_updates, updates)
+    trained = engine.train_policy(search.state, occupied, np.eye(engine.objectives)[0], done, demos, bonus=False)
     state, rolled_back = trained.state, float(trained.rolled_back)
-    if engine.model.learns:
+    if engine.learns_each_iteration:
         assert demos is not None, "a reward model that learns needs demonstrations"
         state, reward_info = engine.update_reward(state, occupied, demos, trained.transitions)
         rolled_back += float(reward_info["reward_rolled_back"])
@@ -159,9 +189,16 @@ def warmed_up(search: Search, updates: int) -> Search:
     return search
 
 
+def evaluate_next(search: Search, policies: Policies) -> tuple[Search, Candidates]:
+    """``evaluate`` with the search's own key, which moves on."""
+    key, episode_key = jax.random.split(search.state.key)
+    search = search._replace(state=search.state._replace(key=key))
+    return search, evaluate(search, policies, episode_key)
+
+
 def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
     """Score λ policies over whole episodes, with the fitness that archives compare, and copy them to the host."""
-    config, occupied = search.config, jnp.asarray(archive.occupied(search.archives))
+    config, occupied = search.config, filled(search)
     scores = search.engine.score(search.state, occupied, policies, key)
     fitness = scores.true_return if config.ppga.selection == "true" else scores.fitness
     if config.bonus.bonus_in_fitness and parse_method(config.method).bonus:
@@ -195,23 +232,25 @@ def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
 
 
 def _info(
-    config: Config,
+    search: Search,
     candidates: Candidates,
-    improvement: np.ndarray,
+    accepted: np.ndarray,
     c_mu: np.ndarray,
-    restarted: bool,
+    restarts: bool,
     phases: list[Trained],
     walked: Trained,
     reward_info: dict[str, jax.Array],
 ) -> Info:
-    learns = bool(reward_info)
-    updates = config.ppga.gradient_updates + config.ppga.walk_updates + int(learns)
+    config = search.config
+    extra = int(search.engine.learns_each_iteration)
+    extra += config.ppga.restart_rounds if restarts and search.engine.model.learns else 0
+    updates = config.ppga.gradient_updates + config.ppga.walk_updates + extra
     rollouts = updates * config.ppo.rollout_length * config.ppo.num_envs
     return Info(
-        restarts=float(restarted),
+        restarts=float(restarts),
         steps=float(rollouts + candidates.length.sum() * config.evaluation.episodes),
         coefficients=c_mu,
-        added=float((improvement > 0).sum()),
+        added=float(accepted.sum()),
         not_finite=float((~archive.usable(candidates)).sum()),
         walk_reward=float(walked.info.fitness_reward),
         true_reward=float(walked.info.true_reward),

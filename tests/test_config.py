@@ -26,6 +26,7 @@ from qdil.config import (
     to_json,
     value_of,
 )
+from qdil.config.text import BEFORE
 from qdil.errors import ConfigError
 from qdil.methods import method_names, parse_method
 from qdil.robots.register import PAPER_ROBOTS
@@ -322,7 +323,7 @@ def test_a_config_that_cannot_be_is_refused(changes, named):
 def test_only_settings_of_speed_may_be_missing(name):
     content = to_json(make_config("walker2d", "gail", "smoke"))
     del content[name]
-    if name in SPEED_ONLY:
+    if name in SPEED_ONLY or name in BEFORE:
         from_json(content)
     else:
         assert f"{name} (missing)" in refused(from_json, content)
@@ -345,6 +346,15 @@ print([name for name in ("jax", "brax", "mujoco", "numpy") if name in sys.module
 RELEASED_BY_HAND = {
     "selection": "true",
     "walk_weights": "fitness",
+    "fitness_coefficient": "signed",
+    "xnes_center": "random",
+    "rejects": "difference",
+    "restart_order": "before-walk",
+    "restart_statistics": "other",
+    "restart_samples": "same",
+    "copies_scaled": "together",
+    "reward_schedule": "update",
+    "reward_steps": 1,
     "bonus_scope": "rollout",
     "bonus_p": 0.0,
     "bonus_q": 2.0,

@@ -81,7 +81,9 @@ def test_a_candidate_that_diverges_enters_neither_archive_nor_normaliser(monkeyp
     register.register_robot("diverging", environment=diverging())
     search = ppga.begin(make_config("diverging", "true", "smoke", episode_length=13, sigma0=8.0), None)
     add, tried = archive.add, []
-    monkeypatch.setattr(archive, "add", lambda archives, found: tried.append(found) or add(archives, found))
+    monkeypatch.setattr(
+        archive, "add", lambda archives, found, *more: tried.append(found) or add(archives, found, *more)
+    )
     infos = []
     for _ in range(4):
         search, info = ppga.iteration(search)

@@ -76,7 +76,10 @@ def test_an_imitator_of_the_expert_comes_near_it(expert):
     chosen = {name: elites[name][rows] for name in ("solution", "obs_mean", "obs_std")}
     recorded = demos.record(dial(), search.engine.search.template, chosen, jax.random.key(0), LENGTH, False)
     shown = Demonstrations(*(jnp.asarray(recorded[name]) for name in Demonstrations._fields))
-    score = {m: trained(config_of(m), 60, shown)[1][-1, 1] for m in ("gail", "zero")}
+    score = {
+        m: np.median([trained(config_of(m, seed=seed), 60, shown)[1][-1, 1] for seed in (1, 2, 3)])
+        for m in ("gail", "zero")
+    }
     assert score["gail"] >= 0.7 * expert[1][-1, 1]
     assert score["gail"] > score["zero"] + 0.1 * expert[1][-1, 1]
 
@@ -89,8 +92,8 @@ def test_a_permutation_of_candidates_permutes_their_results(expert):
     one = ppga.evaluate(search, search.engine.place(jax.tree.map(jnp.asarray, batch)), jax.random.key(0))
     other = ppga.evaluate(search, permuted, jax.random.key(0))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a[order], b, rtol=1e-5, atol=1e-6), one, other)
-    archives, improvement = archive.add(search.archives, one)
-    again, permuted_improvement = archive.add(search.archives, other)
+    archives, improvement, _ = archive.add(search.archives, one)
+    again, permuted_improvement, _ = archive.add(search.archives, other)
     np.testing.assert_array_equal(archive.occupied(archives), archive.occupied(again))
 
 
@@ -133,7 +136,7 @@ def test_branching_is_equation_16(expert):
     mu = np.asarray(search.engine.theta_mu(search.state))
     theta = np.stack([mu + np.eye(1, len(mu), i)[0] * (i + 1) for i in range(3)])  # three orthogonal differences
     coefficients = np.zeros((search.config.ppga.candidates, 3), np.float32)
-    coefficients[0] = [-2.0, 0.5, -1.0]  # fitness is never minimised
+    coefficients[0] = [2.0, 0.5, -1.0]
     candidates, _ = search.engine.branch(search.state, jnp.asarray(theta, jnp.float32), coefficients)
     np.testing.assert_allclose(np.asarray(candidates.theta[0])[:3] - mu[:3], [2.0, 0.5, -1.0], atol=1e-5)
     np.testing.assert_allclose(candidates.theta[1], mu)
@@ -149,13 +152,13 @@ class Spy(Engine):
         self.__dict__.update(vars(engine))
         self.phases = []
 
-    def train_copies(self, state, occupied, updates):
+    def train_copies(self, state, occupied, updates, *more):
         self.phases.append(("gradients", state, np.asarray(occupied), None, updates))
-        return Engine.train_copies(self, state, occupied, updates)
+        return Engine.train_copies(self, state, occupied, updates, *more)
 
-    def train_policy(self, state, occupied, weights, updates):
+    def train_policy(self, state, occupied, weights, updates, *more):
         self.phases.append(("walk", state, np.asarray(occupied), np.asarray(weights), updates))
-        return Engine.train_policy(self, state, occupied, weights, updates)
+        return Engine.train_policy(self, state, occupied, weights, updates, *more)
 
     def rollout(self, state, occupied):
         self.phases.append(("rollout", state, np.asarray(occupied), None, 1))
@@ -183,7 +186,8 @@ def test_an_iteration_is_gradients_then_walk_then_a_fresh_rollout(imitator):
 def test_restart_exactly_when_nothing_was_added(expert, monkeypatch, added):
     search = expert[0]
     improvement = np.arange(search.config.ppga.candidates) * float(added)
-    monkeypatch.setattr(archive, "add", lambda archives, candidates: (archives, improvement))
+    result = archive.Added(search.archives, improvement, improvement > 0)
+    monkeypatch.setattr(archive, "add", lambda *arguments: result)
     after, info = ppga.iteration(search)
     assert info.restarts == float(not added)
     theta = np.asarray(networks.flatten(after.state.train_state.policy))

@@ -1,13 +1,13 @@
 """The settings of a run: typed groups, budgets, refusals before anything compiles, ``config.json``. No JAX here.
 
-``settings`` declares every setting once; ``checks`` builds a checked ``Config``; ``budgets`` has ``make_config``;
+``settings`` declares every setting once; ``protocols`` names three sets of choices; ``checks`` builds a checked
+``Config``; ``budgets`` has ``make_config``;
 ``text`` reads and writes settings as text.
 """
 
 from qdil.config.budgets import BUDGETS as BUDGETS
 from qdil.config.budgets import LAPTOP as LAPTOP
 from qdil.config.budgets import PER_ROBOT as PER_ROBOT
-from qdil.config.budgets import RELEASED as RELEASED
 from qdil.config.budgets import SIGNED_THRESHOLD as SIGNED_THRESHOLD
 from qdil.config.budgets import SMOKE as SMOKE
 from qdil.config.budgets import make_config as make_config
@@ -15,6 +15,7 @@ from qdil.config.checks import OLD_NAMES as OLD_NAMES
 from qdil.config.checks import change as change
 from qdil.config.checks import check as check
 from qdil.config.checks import from_settings as from_settings
+from qdil.config.protocols import PROTOCOLS as PROTOCOLS
 from qdil.config.settings import GROUP_OF as GROUP_OF
 from qdil.config.settings import GROUPS as GROUPS
 from qdil.config.settings import IDENTITY as IDENTITY

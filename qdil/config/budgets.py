@@ -3,6 +3,7 @@
 from typing import Any
 
 from qdil.config.checks import from_settings
+from qdil.config.protocols import PROTOCOLS
 from qdil.config.settings import PPGA, PPO, Config, Simulation
 from qdil.errors import ConfigError
 from qdil.methods import parse_method
@@ -73,20 +74,6 @@ PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
     ("full", "humanoid"): {"sigma0": 0.5, "archive_learning_rate": 0.1, "learning_rate": 3e-4},
 }
 
-# The choices of the authors' released program where they differ from the paper's (p and q: from its shipped runners).
-RELEASED: dict[str, Any] = {
-    "selection": "true",
-    "walk_weights": "fitness",
-    "bonus_scope": "rollout",
-    "bonus_p": 0.0,
-    "bonus_q": 2.0,
-    "expert_alignment": "shifted",
-    "expert_obs": "raw",
-    "penalty_mixing": "element",
-    "vail_beta": "fixed",
-    "pwil_coupling": "step",
-}
-
 # Threshold of an empty cell, return per step, for rewards that may be negative: so low that any first elite enters.
 SIGNED_THRESHOLD = -10.0
 
@@ -108,8 +95,7 @@ def make_config(env: str, method: str, budget: str, seed: int = 1, **changes: An
         length = changes.get("episode_length", chosen.get("episode_length", Simulation.episode_length))
         if isinstance(length, int):  # any other length is refused below
             chosen |= {"threshold_min": SIGNED_THRESHOLD * length}
-    if changes.get("protocol") == "released":
-        chosen |= RELEASED
+    chosen |= PROTOCOLS.get(changes.get("protocol", "paper"), {})  # an unknown protocol is refused below
     identity = {"env": env, "method": method, "budget": budget, "seed": seed}
     return from_settings(identity | chosen | changes)
 

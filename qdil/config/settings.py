@@ -66,6 +66,27 @@ class PPGA:
     walk_weights: Literal["xnes", "fitness"] = setting(
         "xnes", "the walk's objective: weighted by xnes (Algorithm 1) or fitness alone (released program)"
     )
+    fitness_coefficient: Literal["folded", "signed"] = setting(
+        "folded", "c_0 of a candidate and the walk: |c_0|, as xNES is told (section 4.1), or signed (released program)"
+    )
+    xnes_center: Literal["zero", "random"] = setting(
+        "zero", "xNES starts at 0 (Algorithm 1), or at a point drawn from [0,2] × [-2,2]^k (released program)"
+    )
+    rejects: Literal["zero", "difference"] = setting(
+        "zero", "Δ of a candidate that the soft archive rejects: 0 (Algorithm 2) or f - t_e < 0 (released program)"
+    )
+    restart_order: Literal["last", "before-walk"] = setting(
+        "last", "a restart ends the iteration (Algorithm 1) or comes before its walk (released program)"
+    )
+    restart_statistics: Literal["own", "other"] = setting(
+        "own", "observation statistics after a restart: the elite's own, or another elite's (released program)"
+    )
+    restart_samples: Literal["fresh", "same"] = setting(
+        "fresh", "random numbers of a restarted xNES: fresh, or those of its first start again (released program)"
+    )
+    restart_rounds: Count = setting(
+        0, "rollouts of a restart's elite that the reward model learns from before it scores anything (ours)"
+    )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -108,6 +129,9 @@ class PPO:
     target_kl: Positive = setting(
         0.008, "the most KL divergence, nats; a copy that exceeds it stops its epochs (authors)"
     )
+    copies_scaled: Literal["each", "together"] = setting(
+        "each", "advantages normalised and gradients clipped per copy, or over all copies (released program)"
+    )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -142,6 +166,9 @@ class Reward:
     reward_hidden: Widths = setting((100, 100), "tanh layers of reward networks (authors; the paper's Table 5 is lost)")
     reward_learning_rate: Positive = setting(3e-4, "Adam's step size (authors; the paper's Table 5 is lost)")
     reward_steps: AtLeastOne = setting(100, "discriminator steps per QD iteration (ours)")
+    reward_schedule: Literal["iteration", "update"] = setting(
+        "iteration", "a reward model learns after the walk (Algorithm 1) or after every VPPO update (released program)"
+    )
     reward_batch: AtLeastOne = setting(512, "expert rows, and as many policy rows, per discriminator step (ours)")
     gradient_penalty: NotNegative = setting(
         10.0, "weight λ of GAIL's and VAIL's gradient penalty (authors; the paper does not mention it)"
@@ -175,8 +202,8 @@ class Config:
     method: str
     budget: str
     seed: Count = 1
-    protocol: Literal["paper", "released"] = setting(
-        "paper", "paper, or released: the choices of the authors' released program where they differ"
+    protocol: Literal["paper", "released", "improved"] = setting(
+        "paper", "a named set of choices: paper, released (the authors' program) or improved (ours)"
     )
     devices: Count = setting(0, "local devices to shard over; 0: as many as divide the counts")
     simulation: Simulation = Simulation()

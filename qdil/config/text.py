@@ -84,6 +84,19 @@ def same_but_for_speed(one: dict[str, Any], other: dict[str, Any]) -> bool:
     return all(name in one and name in other and one[name] == other[name] for name in names)
 
 
+# Settings that earlier versions did not have, and the values that describe best what those versions did.
+BEFORE = {
+    "fitness_coefficient": "folded",  # candidates had |c_0|, but xNES was told the sample as drawn
+    "xnes_center": "zero",
+    "rejects": "zero",
+    "restart_order": "last",
+    "restart_statistics": "own",
+    "restart_samples": "fresh",
+    "restart_rounds": 0,
+    "copies_scaled": "each",
+    "reward_schedule": "iteration",
+}
+
 OLD_VALUES = {("bonus_scope", "window"): "rollout"}  # values that earlier versions wrote into ``config.json``
 
 
@@ -99,11 +112,12 @@ def to_json(config: Config) -> dict[str, Any]:
 
 
 def from_json(content: dict[str, Any]) -> Config:
-    """Undo ``to_json`` and check. A setting of ``SPEED_ONLY`` that an older version did not write takes its default.
+    """Undo ``to_json`` and check. A setting that an older version did not write takes its value in ``BEFORE``.
 
-    Raises ConfigError if any other setting is unknown or missing, or a value is not allowed.
+    A setting of ``SPEED_ONLY`` that is missing takes its default. Raises ConfigError if any other setting is unknown
+    or missing, or a value is not allowed.
     """
-    settings = with_current_names(content)
+    settings = BEFORE | with_current_names(content)
     odd = {name: "unknown" for name in settings if name not in GROUP_OF}
     odd |= {name: "missing" for name in GROUP_OF if name not in settings and name not in SPEED_ONLY}
     if odd:

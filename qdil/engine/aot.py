@@ -88,6 +88,8 @@ def _compile_in_order(
     compiler(search.finish_episodes, tally, so_far.fitness)
     if reward.model.learns:
         compiler(reward.update, key, state, context, demos, transitions)
+        if config.reward.reward_schedule == "update":
+            compiler(search.steps_of_first_copy, transitions)
 
 
 def _arguments(config: Config, search: SearchPrograms) -> tuple[Any, ...]:

@@ -43,6 +43,7 @@ class Trained(NamedTuple):
     theta: jax.Array  # (K, P) the copies' parameters
     transitions: Transitions  # (T, E) the last rollout
     info: vppo.Info  # of the last update
+    reward_info: dict[str, jax.Array]  # of the reward model's last learning; empty where it did not learn
     rolled_back: jax.Array  # () 1.0 if the phase was discarded because a number was not finite
 
 
@@ -81,6 +82,11 @@ class Engine:
         """The method's reward model, without the bonus."""
         return self.reward.model
 
+    @property
+    def learns_each_iteration(self) -> bool:
+        """Whether the reward model learns once an iteration (line 18), and not after every VPPO update."""
+        return self.model.learns and self.config.reward.reward_schedule == "iteration"
+
     def compile_all(self, key: jax.Array, demos: Demonstrations | None) -> None:
         """Compile every program that a run with this ``key`` and ``demos`` will call."""
         aot.compile_all(self.search, self.reward, self.config, key, demos)
@@ -93,64 +99,97 @@ class Engine:
 
     # Training phases
 
-    def train_copies(self, state: State, occupied: jax.Array, updates: int) -> Trained:
-        """Algorithm 1, line 4: copy i of θ_μ is trained on objective i alone; copy 0 takes θ_μ's place."""
-        weights = np.eye(self.objectives, dtype=np.float32)
-        return self._train(state, occupied, weights, False, updates, self.config.ppo.epochs)
+    def train_copies(
+        self, state: State, occupied: jax.Array, updates: int, demos: Demonstrations | None = None
+    ) -> Trained:
+        """Algorithm 1, line 4: copy i of θ_μ is trained on objective i alone; copy 0 takes θ_μ's place.
 
-    def train_policy(self, state: State, occupied: jax.Array, weights: np.ndarray, updates: int) -> Trained:
-        """Algorithm 1, line 17: θ_μ alone is trained, on the objectives weighted by ``weights`` (1+k,)."""
-        return self._train(state, occupied, self._tied(weights), True, updates, self.config.ppo.epochs)
+        With ``reward_schedule=update`` the reward model learns from ``demos`` and copy 0's steps after every update.
+        """
+        weights = np.eye(self.objectives, dtype=np.float32)
+        return self._train(state, occupied, weights, False, updates, demos)
+
+    def train_policy(
+        self,
+        state: State,
+        occupied: jax.Array,
+        weights: np.ndarray,
+        updates: int,
+        demos: Demonstrations | None = None,
+        bonus: bool = True,
+    ) -> Trained:
+        """Algorithm 1, line 17: θ_μ alone is trained, on the objectives weighted by ``weights`` (1+k,).
+
+        ``bonus`` False leaves the measure bonus out. With ``reward_schedule=update`` the reward model learns from
+        ``demos`` and all steps after every update.
+        """
+        return self._train(state, occupied, self._tied(weights), True, updates, demos, bonus)
 
     def rollout(self, state: State, occupied: jax.Array) -> Trained:
         """One rollout of θ_μ on all robots. Only the running statistics learn from it."""
         weights = np.eye(self.objectives, dtype=np.float32)[0]
-        return self._train(state, occupied, self._tied(weights), True, 1, epochs=0)
+        return self._train(state, occupied, self._tied(weights), True, 1, None, epochs=0)
 
     def _tied(self, weights: np.ndarray) -> np.ndarray:
         """One weighting (1+k,) for every copy."""
         return np.tile(np.asarray(weights, np.float32), (self.objectives, 1))
 
     def _train(
-        self, state: State, occupied: jax.Array, weights: np.ndarray, tied: bool, updates: int, epochs: int
+        self,
+        state: State,
+        occupied: jax.Array,
+        weights: np.ndarray,
+        tied: bool,
+        updates: int,
+        demos: Demonstrations | None,
+        bonus: bool = True,
+        epochs: int | None = None,
     ) -> Trained:
         """``updates`` ≥ 1 VPPO updates of K copies of θ_μ; copy 0 takes θ_μ's place.
 
         If the phase ends with a number that is not finite, all of it is discarded and ``rolled_back`` is 1.
         """
-        search, reward = self.search, self.reward
+        search, config = self.search, self.config
         key, learn_key = jax.random.split(state.key)
         weighting = Weighting(weights, np.bool_(tied))  # type: ignore[arg-type]
-        learn_key, numbers, weighting, steps, bonus, occupied = laid_out(
+        learn_key, numbers, weighting, steps, p_and_q, occupied = laid_out(
             (
                 learn_key,
                 [np.int32(update) for update in range(updates)],
                 weighting,
-                np.int32(epochs),
-                np.asarray(self.bonus, np.float32),
+                np.int32(config.ppo.epochs if epochs is None else epochs),
+                np.asarray(self.bonus if bonus else (0.0, 0.0), np.float32),
                 occupied,
             ),
             replicated(search.mesh),
         )
-        copies, stats, envs, memory = search.replicate(state.train_state), state.stats, state.envs, state.memory
-        info: vppo.Info | None = None
+        reward_learns = demos is not None and self.model.learns and not self.learns_each_iteration
+        before, copies, info = state, search.replicate(state.train_state), None
+        reward_info: dict[str, jax.Array] = {}
+        state = state._replace(key=key)
         for number in numbers:
-            envs, transitions, sample = search.collect(copies, stats, envs)
-            context = RewardContext(stats.normaliser, occupied)
-            memory, fitness = reward.compute(state.reward, memory, context, bonus, transitions)
+            envs, transitions, sample = search.collect(copies, state.stats, state.envs)
+            context = RewardContext(state.stats.normaliser, occupied)
+            memory, fitness = self.reward.compute(state.reward, state.memory, context, p_and_q, transitions)
+            state = state._replace(envs=envs, memory=memory)
             # With about thirty launched programs in the queue, a launch blocks a thread that a device may need, and the
             # two wait for each other for ever. So the host waits for the previous update here.
             jax.block_until_ready(info)
             experience = Experience(transitions, sample, fitness)
-            copies, stats, info = search.learn(learn_key, number, copies, stats, experience, weighting, steps)
+            if reward_learns:
+                assert demos is not None
+                rows = transitions if tied else search.steps_of_first_copy(transitions)
+                state, reward_info = self.update_reward(state, occupied, demos, rows)
+            copies, stats, info = search.learn(learn_key, number, copies, state.stats, experience, weighting, steps)
+            state = state._replace(stats=stats)
         assert info is not None, "a training phase has at least one update"
-        train_state, theta, healthy = search.first_copy(copies, stats)
+        train_state, theta, healthy = search.first_copy(copies, state.stats)
         if bool(healthy):
-            state = State(key, train_state, stats, envs, state.reward, memory)
+            state = state._replace(train_state=train_state)
         else:
-            envs, theta = search.discard_update(state.envs, state.train_state.policy)
-            state = state._replace(key=key, envs=envs)
-        return Trained(state, theta, transitions, info, 1.0 - healthy)
+            envs, theta = search.discard_update(before.envs, before.train_state.policy)
+            state = before._replace(key=key, envs=envs)
+        return Trained(state, theta, transitions, info, reward_info, 1.0 - healthy)
 
     # Candidates
 

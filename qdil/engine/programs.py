@@ -98,6 +98,11 @@ class SearchPrograms:
         key = jax.random.fold_in(key, update)
         return vppo.learn(self.ppo, key, copies, stats, experience, weighting, epochs)
 
+    @program(takes=(ROLLOUT,), gives=ROLLOUT)
+    def steps_of_first_copy(self, transitions: Transitions) -> Transitions:
+        """The steps of copy 0's robots (T, E/K), each K times, so that their shape stays (T, E)."""
+        return vppo.steps_of_first_copy(transitions, self.objectives)
+
     @program(gives=REPLICATED)
     def first_copy(self, copies: TrainState, stats: ObsStats) -> tuple[TrainState, jax.Array, jax.Array]:
         """The end of a training phase: copy 0, every copy's θ (K, P), whether all numbers are finite."""

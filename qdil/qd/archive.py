@@ -31,6 +31,14 @@ class Archives(NamedTuple):
     result: GridArchive
 
 
+class Added(NamedTuple):
+    """The archives after candidates were inserted, and how the soft archive judged each of these."""
+
+    archives: Archives
+    improvement: np.ndarray  # (λ,) Δ of Algorithm 2
+    accepted: np.ndarray  # (λ,) bool
+
+
 def make(cells: int, k: int, theta_size: int, obs_size: int, learning_rate: float, threshold_min: float) -> Archives:
     """Two empty grids of ``cells`` per measure, measures in [0, 1].
 
@@ -48,23 +56,27 @@ def make(cells: int, k: int, theta_size: int, obs_size: int, learning_rate: floa
     return Archives(soft, GridArchive(solution_dim=theta_size, extra_fields=extra, **grid))
 
 
-def add(archives: Archives, candidates: Candidates) -> tuple[Archives, np.ndarray]:
+def add(archives: Archives, candidates: Candidates, rejects: str = "zero") -> Added:
     """Insert the finite candidates into copies of both archives (Algorithm 2).
 
-    Returns the copies and each candidate's improvement Δ (λ,): f_i − t_e where the soft archive accepted the
-    candidate, else 0.
+    A candidate that the soft archive accepts improves by Δ = f_i − t_e > 0. ``rejects`` selects Δ of the others: "zero"
+    (Algorithm 2), or "difference", f_i − t_e ≤ 0 (released program), so that xNES learns from them, too. A candidate
+    that is not finite has the lowest Δ of all.
     """
-    improvement = np.zeros(len(candidates.fitness))
+    count = len(candidates.fitness)
     ok = np.flatnonzero(usable(candidates))
     if len(ok) == 0:
-        return archives, improvement
+        return Added(archives, np.zeros(count), np.zeros(count, bool))
     archives = copy.deepcopy(archives)  # pyribs changes archives in place; a search is a value
     good = Candidates(*(field[ok] for field in candidates))
     info = archives.soft.add(np.zeros((len(ok), 1)), good.fitness, good.measures)
-    improvement[ok] = np.where(info["status"] > 0, info["value"], 0.0)
+    accepted, improvement = np.zeros(count, bool), np.full(count, -np.inf)
+    accepted[ok] = info["status"] > 0
+    improvement[ok] = np.where(accepted[ok] | (rejects == "difference"), info["value"], 0.0)
+    improvement[np.isinf(improvement)] = min(0.0, improvement[ok].min())
     extra = {name: getattr(good, name) for name in EXTRA}
     archives.result.add(good.theta, good.fitness, good.measures, **extra)
-    return archives, improvement
+    return Added(archives, improvement, accepted)
 
 
 def usable(candidates: Candidates) -> np.ndarray:

@@ -13,18 +13,17 @@ SHORTEST = 1e-12  # a difference shorter than this is no direction; its row of t
 def branch(
     policy: Params, normaliser: Normaliser, theta: jax.Array, coefficients: jax.Array
 ) -> tuple[Policies, jax.Array]:
-    """The candidates θ_μ + |c_0| ∇f + Σ_j c_j ∇m_j (eq. 16) and the Jacobian (1+k, P) of their directions.
+    """The candidates θ_μ + c_0 ∇f + Σ_j c_j ∇m_j (eq. 16) and the Jacobian (1+k, P) of their directions.
 
     ``policy`` is θ_μ; ``theta`` (1+k, P) are its copies after N1 updates, the first on the fitness reward, copy j on
     δ_j. A copy's difference to θ_μ, scaled to unit length, is its row of the Jacobian. ``coefficients`` (λ, 1+k) are
-    xNES' samples; fitness is never minimised (section 4.1), so its weight is |c_0|. Every candidate keeps a copy
-    of the search's ``normaliser``.
+    xNES' samples; unless they are signed, their c_0 ≥ 0, since fitness is never minimised (section 4.1). Every
+    candidate keeps a copy of the search's ``normaliser``.
     """
     theta_mu = networks.flatten(policy)
     difference = theta - theta_mu
     jacobian = difference / jnp.maximum(jnp.linalg.norm(difference, axis=1, keepdims=True), SHORTEST)
-    ascending = coefficients.at[:, 0].set(jnp.abs(coefficients[:, 0]))
-    candidates = theta_mu + ascending @ jacobian
+    candidates = theta_mu + coefficients @ jacobian
     shape = (len(candidates), normaliser.mean.shape[0])
     mean, std = (jnp.broadcast_to(x, shape) for x in normaliser)
     return Policies(candidates, mean, std), jacobian

@@ -141,6 +141,16 @@ def from_copies(x: jax.Array, axis: int = 0) -> jax.Array:
     return x.reshape(*x.shape[:axis], -1, *x.shape[axis + 2 :])
 
 
+def steps_of_first_copy(transitions: Transitions, copies: int) -> Transitions:
+    """Steps (T, E) in which those of copy 0's robots stand K times, in place of the steps of all other copies."""
+
+    def repeated(x: jax.Array) -> jax.Array:
+        own = to_copies(x, copies, axis=1)[0]
+        return jnp.repeat(own, copies, axis=1)
+
+    return jax.tree.map(repeated, transitions)
+
+
 # Learn
 
 
@@ -249,7 +259,8 @@ def _train_epochs(
         i, train_state, active, kl, key = carry
         key, order_key = jax.random.split(key)
         parts = _shuffled(batch, jax.random.permutation(order_key, length), ppo.minibatches)
-        parts = parts._replace(advantage=_normalised(parts.advantage, tied))
+        together = tied | (ppo.copies_scaled == "together")
+        parts = parts._replace(advantage=_normalised(parts.advantage, together))
         moved, kls = jax.lax.scan(lambda state, part: _minibatch_step(state, part, tied, ppo), train_state, parts)
         # A stopped copy's learning is discarded once per epoch, which is cheaper than at every step.
         train_state, kl = where_each(active, (moved, jnp.mean(kls, axis=0)), (train_state, kl))
@@ -278,10 +289,13 @@ def _shuffled(batch: Batch, order: jax.Array, minibatches: int) -> Batch:
     return jax.tree.map(cut, batch)
 
 
-def _normalised(advantage: jax.Array, tied: jax.Array) -> jax.Array:
-    """Advantages (M, K, T/M, E/K), each copy's to zero mean and unit deviation within each minibatch."""
+def _normalised(advantage: jax.Array, together: jax.Array) -> jax.Array:
+    """Advantages (M, K, T/M, E/K), each copy's to zero mean and unit deviation within each minibatch.
+
+    ``together`` () bool: the mean and deviation are those of all copies.
+    """
     moments = jnp.stack([jnp.mean(advantage, axis=(2, 3)), jnp.mean(jnp.square(advantage), axis=(2, 3))], axis=-1)
-    mean, square = jnp.moveaxis(_pmean(moments.swapaxes(0, 1), tied), -1, 0).swapaxes(1, 2)[..., None, None]
+    mean, square = jnp.moveaxis(_pmean(moments.swapaxes(0, 1), together), -1, 0).swapaxes(1, 2)[..., None, None]
     return (advantage - mean) * jax.lax.rsqrt(jnp.maximum(square - jnp.square(mean), 0.0) + 1e-8)
 
 
@@ -307,7 +321,20 @@ def _minibatch_step(train_state: TrainState, batch: Batch, tied: jax.Array, ppo:
     per_copy = jax.vmap(gradients)(train_state.policy, train_state.critic, batch)
     rows, from_rows = _as_rows(per_copy)  # so that the devices exchange a single array
     grads, approx_kl = from_rows(_pmean(rows, tied))
+    if ppo.copies_scaled == "together":
+        grads = tuple(_clipped_together(grad, tied, ppo.max_grad_norm) for grad in grads)
     return jax.vmap(step)(train_state, grads), approx_kl
+
+
+def _clipped_together(grads: Params, tied: jax.Array, max_norm: float) -> Params:
+    """Gradients (K, …) of the mean loss over all copies, clipped by the norm of all of them (released program).
+
+    Tied copies are one policy, whose gradient is clipped by the optimiser.
+    """
+    copies = len(jax.tree.leaves(grads)[0])
+    norm = optax.global_norm(grads) / copies
+    scale = jnp.where(tied, 1.0, jnp.minimum(1.0, max_norm / norm) / copies)
+    return jax.tree.map(lambda grad: scale * grad, grads)
 
 
 def loss(policy: Params, critic: Params, batch: Batch, ppo: PPO) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:

@@ -7,7 +7,7 @@ A *study* is the list of experiments behind one figure or question.
 from collections.abc import Iterable
 from typing import Any
 
-from qdil.config import RELEASED, SPEED_ONLY, Config, make_config, parse_settings, value_of
+from qdil.config import PROTOCOLS, SPEED_ONLY, Config, make_config, parse_settings, value_of
 from qdil.errors import ConfigError
 
 DEMONSTRATIONS = (1, 2, 10)  # besides the budget's own number (Appendix H)
@@ -16,10 +16,14 @@ DEMONSTRATIONS = (1, 2, 10)  # besides the budget's own number (Appendix H)
 def name_of(method: str, env: str = "walker2d", budget: str = "full", **changes: Any) -> str:
     """The name of the experiment ``method`` with ``changes``.
 
-    Settings with the budget's own value are left out, and so are those that change nothing but the speed.
+    Settings with the value that budget and protocol give them are left out, and so are those that change nothing but
+    the speed. So a departure from a protocol always shows: ``mconbo-gail+protocol=released+selection=learned``.
     """
-    default = make_config(env, method, budget)
-    changed = sorted(key for key, value in changes.items() if value != value_of(default, key) and key not in SPEED_ONLY)
+    protocol = changes.get("protocol", "paper")
+    default = make_config(env, method, budget, protocol=protocol)
+    ordinary = (key for key in changes if key != "protocol" and key not in SPEED_ONLY)
+    changed = ["protocol"] if protocol != "paper" else []
+    changed += sorted(key for key in ordinary if changes[key] != value_of(default, key))
     return "+".join([method, *(f"{key}={_text(changes[key])}" for key in changed)])
 
 
@@ -64,6 +68,14 @@ STUDIES: dict[str, tuple[str, ...]] = {
         "mconbo-gail+protocol=released",
         "mconbo-gail+selection=true",
         "mconbo-gail+walk_weights=fitness",
+        "mconbo-gail+fitness_coefficient=signed",
+        "mconbo-gail+xnes_center=random",
+        "mconbo-gail+rejects=difference",
+        "mconbo-gail+restart_order=before-walk",
+        "mconbo-gail+restart_statistics=other",
+        "mconbo-gail+restart_samples=same",
+        "mconbo-gail+copies_scaled=together",
+        "mconbo-gail+reward_schedule=update+reward_steps=1",
         "mconbo-gail+bonus_scope=rollout",
         "mconbo-gail+bonus_p=0.0+bonus_q=2.0",
         "mconbo-gail+expert_alignment=shifted",
@@ -76,7 +88,7 @@ STUDIES: dict[str, tuple[str, ...]] = {
         "mconbo-pwil+pwil_coupling=step",
     ),
 }
-assert all(any(f"{name}=" in e for e in STUDIES["released"]) for name in RELEASED)
+assert all(any(f"+{name}=" in e for e in STUDIES["released"]) for name in PROTOCOLS["released"])
 
 
 # One demonstration is the default of smoke, and its few elites do not suffice for ten.

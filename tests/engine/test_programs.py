@@ -30,13 +30,18 @@ def compilations():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("method", ["true", "mconbo-gail"])
-def test_every_program_is_compiled_before_it_is_called_and_never_again(method, compilations, monkeypatch):
+SCHEDULES = [("true", "iteration"), ("mconbo-gail", "iteration"), ("mconbo-gail", "update")]
+
+
+@pytest.mark.parametrize(("method", "schedule"), SCHEDULES)
+def test_every_program_is_compiled_before_it_is_called_and_never_again(method, schedule, compilations, monkeypatch):
     """What is compiled ahead of time must be what the calls look for, or everything would be compiled twice."""
     search_programs.cache_clear(), reward_programs.cache_clear(), jax.clear_caches()
-    search = ppga.begin(config_of(method), None if method == "true" else demonstrations())
+    config = config_of(method, reward_schedule=schedule, restart_rounds=1)
+    search = ppga.begin(config, None if method == "true" else demonstrations())
     declared = {*programs_of(search.engine.search), *programs_of(search.engine.reward)}
     unused = set() if search.engine.model.learns else {"update"}
+    unused |= {"steps_of_first_copy"} if schedule == "iteration" else set()
     assert {f"jit({name})" for name in declared - unused} <= set(compilations)
     compilations.clear()
 
@@ -49,7 +54,8 @@ def test_every_program_is_compiled_before_it_is_called_and_never_again(method, c
     for _ in range(2):
         search, _ = ppga.iteration(search)
     with monkeypatch.context() as patch:  # an iteration that restarts
-        patch.setattr(archive, "add", lambda archives, c: (archives, np.zeros(len(c.fitness))))
+        nothing = np.zeros(config.ppga.candidates)
+        patch.setattr(archive, "add", lambda archives, *more: archive.Added(archives, nothing, nothing > 0))
         search, info = ppga.iteration(search)
     assert info.restarts == 1
     ppga.evaluate(search, ppga.batch_of_elites(search, 0), search.state.key)
@@ -57,7 +63,7 @@ def test_every_program_is_compiled_before_it_is_called_and_never_again(method, c
 
 
 def test_ahead_of_time_compilation_names_every_declared_program():
-    engine, demos = Engine(config_of("mconbo-gail")), demonstrations()
+    engine, demos = Engine(config_of("mconbo-gail", reward_schedule="update")), demonstrations()
     names = aot.compile_all(engine.search, engine.reward, engine.config, jax.random.key(0), demos)
     assert sorted(names) == sorted([*programs_of(engine.search), *programs_of(engine.reward)])
 

@@ -12,7 +12,7 @@ from ribs.emitters import EvolutionStrategyEmitter
 from scipy.linalg import expm
 from scipy.stats import ortho_group
 
-from qdil.qd.xnes import XNES, utilities
+from qdil.qd.xnes import XNES, draw_center, utilities
 
 
 def tell(xnes: XNES, values) -> None:
@@ -69,6 +69,57 @@ print(time.process_time() - before)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(done.stdout) < 0.03
+
+
+def test_a_folded_coordinate_can_be_learned_from_zero():
+    """One step from mean 0, larger c_0 and c_1 equally useful, c_2 useless: both means rise alike, c_2's does not."""
+    means = []
+    for seed in range(100):
+        xnes = XNES(2.0, 3, 96, seed=seed, fold_first=True)
+        samples = xnes.ask()
+        assert (samples[:, 0] >= 0).all() and (samples[:, 1:] < 0).any()
+        tell(xnes, samples[:, 0] + samples[:, 1])
+        means.append(xnes.mean)
+    useful, other, useless = np.median(means, axis=0)
+    assert useful > 0.8 and other > 1.0 and abs(useless) < 0.3
+
+
+def test_a_folded_coordinate_finds_its_optimum_and_stays_on_its_side():
+    for optimum in (3.0, 0.0):
+        xnes = XNES(1.0, 3, 40, seed=3, fold_first=True)
+        for _ in range(60):
+            tell(xnes, -np.square(xnes.ask() - [optimum, -1.0, 2.0]).sum(axis=1))
+            assert xnes.mean[0] >= 0 and np.isfinite(state(xnes)).all()
+        np.testing.assert_allclose(xnes.mean, [optimum, -1.0, 2.0], atol=0.1)
+
+
+def test_without_improvement_folding_moves_nothing_on_average():
+    moved = []
+    for seed in range(400):
+        xnes = XNES(1.0, 2, 20, seed=seed, fold_first=True)
+        xnes.reset(np.array([1.0, 0.0]))
+        count = len(xnes.ask())
+        tell(xnes, np.random.default_rng(seed).normal(size=count))
+        moved.append(xnes.mean - [1.0, 0.0])
+    assert (np.abs(np.mean(moved, axis=0)) < 4 * np.std(moved, axis=0) / 20).all()
+
+
+def test_a_restart_may_repeat_its_samples():
+    xnes = XNES(1.0, 3, 5, seed=np.random.SeedSequence(4))
+    first, second = xnes.ask(), xnes.ask()
+    xnes.reset(np.zeros(3))
+    assert not np.isin(xnes.ask(), [first, second]).any()
+    xnes.reset(np.zeros(3), same_samples=True)
+    np.testing.assert_array_equal(xnes.ask(), first)
+
+
+def test_the_center_is_zero_or_anywhere_in_its_box():
+    rng = np.random.default_rng(0)
+    np.testing.assert_array_equal(draw_center("zero", 3, rng), np.zeros(3))
+    drawn = np.array([draw_center("random", 3, rng) for _ in range(2000)])
+    np.testing.assert_allclose(drawn.min(axis=0), [0, -2, -2], atol=0.02)
+    np.testing.assert_allclose(drawn.max(axis=0), 2, atol=0.02)
+    np.testing.assert_allclose(drawn.mean(axis=0), [1, 0, 0], atol=0.1)
 
 
 def test_samples_have_the_mean_and_covariance_of_the_state():

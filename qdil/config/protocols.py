@@ -1,0 +1,38 @@
+"""Protocols: named sets of choices where the paper can be read in several ways, or could be improved on.
+
+Every choice is a setting of its own, and its description says what each value means.
+"""
+
+from typing import Any
+
+# The choices of the authors' released program where they differ from the paper's (p and q: from its shipped runners).
+RELEASED: dict[str, Any] = {
+    # What fills the archive, and where the search goes
+    "selection": "true",
+    "walk_weights": "fitness",
+    "fitness_coefficient": "signed",
+    "xnes_center": "random",
+    "rejects": "difference",
+    "restart_order": "before-walk",
+    "restart_statistics": "other",
+    "restart_samples": "same",
+    "copies_scaled": "together",
+    # The measure bonus
+    "bonus_scope": "rollout",
+    "bonus_p": 0.0,
+    "bonus_q": 2.0,
+    # What reward models learn, and from what
+    "expert_alignment": "shifted",
+    "expert_obs": "raw",
+    "reward_schedule": "update",
+    "reward_steps": 1,
+    "penalty_mixing": "element",
+    "vail_beta": "fixed",
+    "pwil_coupling": "step",
+}
+
+# Imitation that never reads the true reward (ours).
+IMPROVED: dict[str, Any] = {}
+
+# The settings in which each protocol differs from the paper's.
+PROTOCOLS: dict[str, dict[str, Any]] = {"paper": {}, "released": RELEASED, "improved": IMPROVED}
