@@ -6,6 +6,7 @@
 """
 
 from qdil.config.budgets import BUDGETS as BUDGETS
+from qdil.config.budgets import DESK as DESK
 from qdil.config.budgets import LAPTOP as LAPTOP
 from qdil.config.budgets import PER_ROBOT as PER_ROBOT
 from qdil.config.budgets import SIGNED_THRESHOLD as SIGNED_THRESHOLD

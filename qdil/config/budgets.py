@@ -1,4 +1,4 @@
-"""The budgets ``smoke``, ``laptop`` and ``full``, their changes for robots and methods, and ``make_config``."""
+"""The budgets ``smoke``, ``laptop``, ``desk`` and ``full``, their changes for robots, and ``make_config``."""
 
 from typing import Any
 
@@ -56,8 +56,29 @@ SMOKE: dict[str, Any] = {
     "giril_steps": 200,
 }
 
+# The paper's units (episodes of 1000 steps, 50 x 50 cells, its networks) with few robots and short searches.
+DESK: dict[str, Any] = {
+    "iterations": 200,
+    "warmup_updates": 200,
+    "gradient_updates": 5,
+    "walk_updates": 5,
+    "candidates": 192,
+    "episodes": 4,
+    "sigma0": 2.0,
+    "archive_learning_rate": 1.0,
+    "sample_actions": False,
+    "eval_chunk_steps": 25,
+    "eval_chunks_per_sync": 4,
+    "eval_batch_size": 48,
+    "num_envs": 192,
+    "gamma": 0.993,
+    "target_kl": 0.02,
+    "threshold_min": 0.0,
+    "reward_steps": 30,
+}
+
 # The settings in which each budget differs from the defaults.
-BUDGETS: dict[str, dict[str, Any]] = {"smoke": SMOKE, "laptop": LAPTOP, "full": {}}
+BUDGETS: dict[str, dict[str, Any]] = {"smoke": SMOKE, "laptop": LAPTOP, "desk": DESK, "full": {}}
 
 # Further changes for some robots, by budget and robot.
 PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
@@ -71,6 +92,14 @@ PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
         "warmup_updates": 100,
         "threshold_min": -100.0,
     },  # fmt: skip
+    ("desk", "halfcheetah"): {
+        "gamma": 0.99,
+        "num_envs": 96,
+        "eval_chunk_steps": 200,
+        "warmup_updates": 100,
+        "threshold_min": -500.0,
+    },  # fmt: skip
+    ("desk", "humanoid"): {"learning_rate": 3e-4},
     ("full", "humanoid"): {"sigma0": 0.5, "archive_learning_rate": 0.1, "learning_rate": 3e-4},
 }
 

@@ -26,6 +26,7 @@ trusted."""
 SCALE = {
     "smoke": "Nothing is learned at this budget: it tests that every line runs, and its verdicts mean nothing.",
     "laptop": "Our numbers and the paper's differ in scale (cells, episodes, training): compare order, not size.",
+    "desk": "Our numbers and the paper's have the same units; our searches are far shorter: compare order, not size.",
     "full": "Our numbers and the paper's are of the same scale.",
 }
 UNCLAIMED = "†"  # marks a robot, or a problem of Lemma 1, for which the paper does not make the claim

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from qdil.config import ConfigError
+from qdil.config import BUDGETS, ConfigError
 from qdil.evidence.markdown import markdown_table
 from qdil.runs.studies import experiments_of
 
@@ -85,7 +85,7 @@ def table(entries: Iterable[Entry] | None = None, folder: str = "notebooks/") ->
     Columns of minutes appear for the budgets that any notebook was measured at.
     """
     entries = read() if entries is None else tuple(entries)
-    budgets = [budget for budget in ("smoke", "laptop", "full") if any(budget in e.minutes for e in entries)]
+    budgets = [budget for budget in BUDGETS if any(budget in e.minutes for e in entries)]
     rows = [
         {
             "": entry.name[:2],

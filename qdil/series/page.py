@@ -27,6 +27,7 @@ ROOT = Path(__file__).parent.parent.parent
 BUDGET_NOTES = {  # about each budget, in the banner and on the site
     "smoke": "a test that every line runs; nothing has been learned, so draw no conclusion from these pictures",
     "laptop": "a small version of the experiment; the curves are real, the scale is not the paper's",
+    "desk": "the paper's units and networks with fewer robots and iterations; archives are smaller than the paper's",
     "full": "the paper's own scale",
 }
 

@@ -31,6 +31,7 @@ MAIN_CLAIM = {
 USES = {
     "smoke": "every line runs, nothing is learned",
     "laptop": "real learning curves without a GPU",
+    "desk": "the paper's units: 1000 steps, 50 × 50 cells, its networks",
     "full": "the paper's scale, for a GPU",
 }
 # A figure of the bench, its name with its unit, its format.

@@ -25,6 +25,7 @@ _SEEDS = tuple(range(5))
 SIZES = {
     "smoke": ExperimentSize(dim=10, cells=10, iterations=30, learning_rate=0.1, seeds=(0, 1)),
     "laptop": ExperimentSize(dim=100, cells=50, iterations=600, learning_rate=0.1, seeds=_SEEDS),
+    "desk": ExperimentSize(dim=100, cells=50, iterations=3000, learning_rate=0.1, seeds=_SEEDS),
     # DQD's dimension, grid and iterations; the α that MAP-Annealing uses for that grid. Both papers: 20 seeds.
     "full": ExperimentSize(dim=1000, cells=100, iterations=10_000, learning_rate=0.01, seeds=_SEEDS),
 }

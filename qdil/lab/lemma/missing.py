@@ -13,7 +13,7 @@ from qdil.lab.lemma.results import RobotTrial
 from qdil.runs import manifest
 from qdil.runs.folder import RESULTS
 
-PROBLEMS = {"smoke": 50, "laptop": 400, "full": 400}  # random MDPs, each with its own policy and archive
+PROBLEMS = {"smoke": 50, "laptop": 400, "desk": 400, "full": 400}  # random MDPs, each with its own policy and archive
 SEED = 1  # of the random problems
 FALLS = 0.5  # largest probability of a fall in a step, where episodes can end early
 

@@ -34,6 +34,7 @@ class Effort(NamedTuple):
 EFFORTS = {
     "smoke": Effort(seeds=2, warmup=2, known=(0.5, 0.9), updates=1, rounds=1),
     "laptop": Effort(seeds=4, warmup=60, known=(0.5, 0.9), updates=15, rounds=3),
+    "desk": Effort(seeds=4, warmup=200, known=(0.5, 0.9), updates=15, rounds=3),
     "full": Effort(seeds=5, warmup=200, known=(0.5, 0.9), updates=15, rounds=1),
 }
 
