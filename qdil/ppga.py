@@ -18,7 +18,7 @@ from qdil.qd import archive
 from qdil.qd.archive import Archives, Candidates
 from qdil.qd.xnes import XNES, draw_center
 from qdil.rl import networks
-from qdil.rl.evaluate import Policies
+from qdil.rl.evaluate import Policies, Scores
 
 
 class Search(NamedTuple):
@@ -190,20 +190,23 @@ def warmed_up(search: Search, updates: int) -> Search:
 
 
 def evaluate_next(search: Search, policies: Policies) -> tuple[Search, Candidates]:
-    """``evaluate`` with the search's own key, which moves on."""
+    """``evaluate`` the candidates of an iteration with the search's own key, which moves on."""
     key, episode_key = jax.random.split(search.state.key)
-    search = search._replace(state=search.state._replace(key=key))
-    return search, evaluate(search, policies, episode_key)
+    state, scores = search.engine.score_and_keep(search.state, filled(search), policies, episode_key)
+    return search._replace(state=state._replace(key=key)), _candidates(search, policies, scores)
 
 
 def evaluate(search: Search, policies: Policies, key: jax.Array) -> Candidates:
     """Score λ policies over whole episodes, with the fitness that archives compare, and copy them to the host."""
-    config, occupied = search.config, filled(search)
-    scores = search.engine.score(search.state, occupied, policies, key)
+    return _candidates(search, policies, search.engine.score(search.state, filled(search), policies, key))
+
+
+def _candidates(search: Search, policies: Policies, scores: Scores) -> Candidates:
+    config = search.config
     fitness = scores.true_return if config.ppga.selection == "true" else scores.fitness
     if config.bonus.bonus_in_fitness and parse_method(config.method).bonus:
         p, q = search.engine.bonus
-        fitness = fitness + (p + q * is_empty(occupied, scores.measures)) * scores.length
+        fitness = fitness + (p + q * is_empty(filled(search), scores.measures)) * scores.length
     policies, scores = to_host((policies, scores._replace(fitness=fitness)))
     return Candidates(**policies._asdict(), **scores._asdict())
 

@@ -169,6 +169,9 @@ class Reward:
     reward_schedule: Literal["iteration", "update"] = setting(
         "iteration", "a reward model learns after the walk (Algorithm 1) or after every VPPO update (released program)"
     )
+    replay_share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = setting(
+        0.0, "share of a store of candidates' steps renewed an iteration; half of policy rows are its; 0: none (paper)"
+    )
     reward_batch: AtLeastOne = setting(512, "expert rows, and as many policy rows, per discriminator step (ours)")
     gradient_penalty: NotNegative = setting(
         10.0, "weight λ of GAIL's and VAIL's gradient penalty (authors; the paper does not mention it)"

@@ -95,6 +95,7 @@ BEFORE = {
     "restart_rounds": 0,
     "copies_scaled": "each",
     "reward_schedule": "iteration",
+    "replay_share": 0.0,
 }
 
 OLD_VALUES = {("bonus_scope", "window"): "rollout"}  # values that earlier versions wrote into ``config.json``

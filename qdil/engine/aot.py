@@ -70,6 +70,7 @@ def _compile_in_order(
     copies = compiler(search.replicate, train_state)
     envs, transitions, sample = compiler(search.collect, copies, stats, envs)
     evaluated, tally = compiler(search.begin_episodes, keys)
+    lengths = tally.length
     _, tally, steps, counted = compiler(search.advance_episodes, policies, evaluated, tally)
 
     state, memory = compiler(reward.init, key, demos)
@@ -87,7 +88,10 @@ def _compile_in_order(
     so_far = compiler(reward.score_chunk, state, so_far, context, steps, counted)
     compiler(search.finish_episodes, tally, so_far.fitness)
     if reward.model.learns:
-        compiler(reward.update, key, state, context, demos, transitions)
+        store = transitions if config.reward.replay_share > 0 else ()
+        compiler(reward.update, key, state, context, demos, transitions, store)
+        if store:
+            compiler(reward.keep_steps, key, store, lengths, steps, counted)
         if config.reward.reward_schedule == "update":
             compiler(search.steps_of_first_copy, transitions)
 

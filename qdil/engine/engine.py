@@ -11,7 +11,7 @@ from qdil.config import Config
 from qdil.devices.hosts import to_host
 from qdil.devices.mesh import by_environment, choose_num_devices, laid_out, replicated
 from qdil.engine import aot
-from qdil.engine.programs import RewardPrograms, SearchPrograms, reward_programs, search_programs
+from qdil.engine.programs import RewardPrograms, SearchPrograms, Store, reward_programs, search_programs
 from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.methods import name_of, parse_method
 from qdil.rl import networks, vppo
@@ -34,6 +34,7 @@ class State(NamedTuple):
     envs: EnvBatch  # robots in the middle of their episodes
     reward: RewardState  # ψ
     memory: RewardMemory  # what the reward model remembers within the robots' episodes
+    store: Store  # of candidates' steps, for the reward model's learning
 
 
 class Trained(NamedTuple):
@@ -95,7 +96,10 @@ class Engine:
         """The state before the first update."""
         key, search_key, reward_key = jax.random.split(key, 3)
         train_state, stats, envs = self.search.init(search_key)
-        return State(key, train_state, stats, envs, *self.reward.init(reward_key, demos))
+        store: Store = ()
+        if self.model.learns and self.config.reward.replay_share > 0:  # it holds steps of θ_0 at first
+            store = self.search.collect(self.search.replicate(train_state), stats, envs)[1]
+        return State(key, train_state, stats, envs, *self.reward.init(reward_key, demos), store)
 
     # Training phases
 
@@ -200,15 +204,24 @@ class Engine:
 
     def score(self, state: State, occupied: jax.Array, policies: Policies, key: jax.Array) -> Scores:
         """Score λ policies over n whole episodes each, with the present reward model (Algorithm 1, lines 9-11)."""
+        return self.score_and_keep(state, occupied, policies, key)[1]
+
+    def score_and_keep(
+        self, state: State, occupied: jax.Array, policies: Policies, key: jax.Array
+    ) -> tuple[State, Scores]:
+        """``score``; and the store, if there is one, keeps some of the steps."""
         search, reward = self.search, self.reward
         count = (self.config.ppga.candidates, self.config.evaluation.episodes)
         context = RewardContext(state.stats.normaliser, laid_out(occupied, replicated(search.mesh)))
         so_far = reward.begin_scoring(state.reward)
         envs, tally = search.begin_episodes(self.place(jax.random.split(key, count)))
         while to_host(tally.unfinished).any():
+            before = tally.length
             envs, tally, transitions, counted = search.advance_episodes(policies, envs, tally)
+            if isinstance(state.store, Transitions):
+                state = state._replace(store=reward.keep_steps(key, state.store, before, transitions, counted))
             so_far = reward.score_chunk(state.reward, so_far, context, transitions, counted)
-        return search.finish_episodes(tally, so_far.fitness)
+        return state, search.finish_episodes(tally, so_far.fitness)
 
     def place(self, tree: Tree) -> Tree:
         """A tree of arrays with axis (λ) in front, laid out over the devices as ``score`` expects it."""
@@ -233,7 +246,7 @@ class Engine:
         """Algorithm 1, line 18: the reward model learns from demonstrations and a rollout of the policy."""
         key, update_key = jax.random.split(state.key)
         context = RewardContext(state.stats.normaliser, laid_out(occupied, replicated(self.search.mesh)))
-        reward, info = self.reward.update(update_key, state.reward, context, demos, transitions)
+        reward, info = self.reward.update(update_key, state.reward, context, demos, transitions, state.store)
         return state._replace(key=key, reward=reward), info
 
     def restart_at(self, state: State, elite: dict[str, np.ndarray]) -> State:

@@ -14,12 +14,13 @@ from dataclasses import replace
 from functools import lru_cache, partial
 
 import jax
+import jax.numpy as jnp
 
 from qdil.config import PPO, Config, Evaluation
 from qdil.devices.mesh import AXIS, make_mesh
 from qdil.devices.xla_options import ppo_options, single_threaded, unoptimised
 from qdil.engine.program import CHUNKS, REPLICATED, ROLLOUT, SHARDED, program
-from qdil.imitation import fitness
+from qdil.imitation import fitness, replay
 from qdil.imitation.reward_model import Demonstrations, reward_model
 from qdil.qd import branching, restart
 from qdil.rl import evaluate, networks, vppo
@@ -39,6 +40,8 @@ from qdil.types import (
     RewardState,
     Transitions,
 )
+
+Store = Transitions | tuple[()]  # of candidates' steps (T, E); () if the reward model keeps none
 
 
 class SearchPrograms:
@@ -192,7 +195,17 @@ class RewardPrograms:
         """Add the model's rewards for some chunks of steps."""
         return fitness.score_chunk(self.model, reward, so_far, context, transitions, counted)
 
-    @program(takes=(REPLICATED, REPLICATED, REPLICATED, REPLICATED, ROLLOUT), gives=REPLICATED)
+    @program(takes=(REPLICATED, ROLLOUT, SHARDED, CHUNKS, CHUNKS), gives=ROLLOUT)
+    def keep_steps(
+        self, key: jax.Array, store: Transitions, before: jax.Array, transitions: Transitions, counted: jax.Array
+    ) -> Transitions:
+        """The store after some chunks of an evaluation, which all have the same ``key``."""
+        key = jax.random.fold_in(key, jax.lax.axis_index(AXIS))
+        share, length = self.config.reward.replay_share, self.config.simulation.episode_length
+        picks = replay.pick(key, share, store.reward.size, len(before), length)
+        return replay.keep(store, picks, before, transitions, counted)
+
+    @program(takes=(REPLICATED, REPLICATED, REPLICATED, REPLICATED, ROLLOUT, ROLLOUT), gives=REPLICATED)
     def update(
         self,
         key: jax.Array,
@@ -200,10 +213,17 @@ class RewardPrograms:
         context: RewardContext,
         demos: Demonstrations,
         transitions: Transitions,
+        store: Store,
     ) -> tuple[RewardState, dict[str, jax.Array]]:
-        """A round of the model's learning. Every device learns the same model from all robots' steps."""
+        """A round of the model's learning. Every device learns the same model from all robots' steps.
+
+        With a ``store``, its steps follow the rollout's in time, so that half of all policy rows are from either.
+        """
         gather = partial(jax.lax.all_gather, axis_name=AXIS, axis=1, tiled=True)
-        return fitness.update_reward(self.model, key, reward, context, demos, jax.tree.map(gather, transitions))
+        steps = jax.tree.map(gather, transitions)
+        if isinstance(store, Transitions):
+            steps = jax.tree.map(lambda new, old: jnp.concatenate([new, gather(old)]), steps, store)
+        return fitness.update_reward(self.model, key, reward, context, demos, steps)
 
 
 @lru_cache(maxsize=4)

@@ -30,18 +30,21 @@ def compilations():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
-SCHEDULES = [("true", "iteration"), ("mconbo-gail", "iteration"), ("mconbo-gail", "update")]
+SCHEDULES = [("true", "iteration", 0.0), ("mconbo-gail", "iteration", 0.5), ("mconbo-gail", "update", 0.0)]
 
 
-@pytest.mark.parametrize(("method", "schedule"), SCHEDULES)
-def test_every_program_is_compiled_before_it_is_called_and_never_again(method, schedule, compilations, monkeypatch):
+@pytest.mark.parametrize(("method", "schedule", "share"), SCHEDULES)
+def test_every_program_is_compiled_before_it_is_called_and_never_again(
+    method, schedule, share, compilations, monkeypatch
+):
     """What is compiled ahead of time must be what the calls look for, or everything would be compiled twice."""
     search_programs.cache_clear(), reward_programs.cache_clear(), jax.clear_caches()
-    config = config_of(method, reward_schedule=schedule, restart_rounds=1)
+    config = config_of(method, reward_schedule=schedule, restart_rounds=1, replay_share=share)
     search = ppga.begin(config, None if method == "true" else demonstrations())
     declared = {*programs_of(search.engine.search), *programs_of(search.engine.reward)}
     unused = set() if search.engine.model.learns else {"update"}
     unused |= {"steps_of_first_copy"} if schedule == "iteration" else set()
+    unused |= {"keep_steps"} if share == 0 else set()
     assert {f"jit({name})" for name in declared - unused} <= set(compilations)
     compilations.clear()
 
@@ -63,7 +66,7 @@ def test_every_program_is_compiled_before_it_is_called_and_never_again(method, s
 
 
 def test_ahead_of_time_compilation_names_every_declared_program():
-    engine, demos = Engine(config_of("mconbo-gail", reward_schedule="update")), demonstrations()
+    engine, demos = Engine(config_of("mconbo-gail", reward_schedule="update", replay_share=0.5)), demonstrations()
     names = aot.compile_all(engine.search, engine.reward, engine.config, jax.random.key(0), demos)
     assert sorted(names) == sorted([*programs_of(engine.search), *programs_of(engine.reward)])
 
