@@ -40,7 +40,8 @@ class Base(NamedTuple):
 
 _REWARDS = "qdil.imitation.rewards"
 
-# The paper's reward models in the order of its Table 1. Their modules import JAX, so this table only names them.
+# The paper's reward models in the order of its Table 1, then that of its later version. Their modules import JAX, so
+# this table only names them.
 BUILT_IN = (
     Base("true", "the environment's own reward: PPGA, the expert", f"{_REWARDS}.plain:true_reward", imitates=False),
     Base(
@@ -69,6 +70,7 @@ BUILT_IN = (
         f"{_REWARDS}.maxent:maxent",
         signed=True,
     ),
+    Base("diffail", "−log(1−D) with D = exp(−loss) of a diffusion model of (s, a)", f"{_REWARDS}.diffail:diffail"),
 )
 _BASES: dict[str, Base] = {base.name: base for base in BUILT_IN}
 

@@ -1,6 +1,7 @@
 """How methods and experiments are named in words: "mconbo-gail" is the paper's MConbo-GAIL, "true" is the expert."""
 
-BASES = {"true": "Expert", "maxent": "Max-Ent", "zero": "Zero reward"}  # the paper's other bases are acronyms
+# Bases that are no acronyms.
+BASES = {"true": "Expert", "maxent": "Max-Ent", "diffail": "DiffAIL", "zero": "Zero reward"}
 PREFIXES = {"mconbo-": "MConbo-", "mcond-": "MCond-", "mbo-": "Mbo-"}
 ACRONYMS = ("gail", "vail", "airl", "giril", "pwil")
 OBSERVATION_ONLY = "-obs"

@@ -407,7 +407,7 @@ def test_the_low_start_follows_the_episodes_length_and_gives_way():
     "name",
     [
         "protocol", "expert_alignment", "expert_obs", "bonus_scope", "penalty_mixing", "vail_beta", "pwil_coupling",
-        "walk_weights", "selection", "backend",
+        "walk_weights", "selection", "backend", "expert_batches", "vail_encoder", "diffail_loss", "diffail_reward",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("wrong", ["", "neither", "Paper", "raw,normalised", None])
@@ -429,6 +429,8 @@ def test_choices_refuse_what_is_none_of_theirs(name, wrong):
         ("giril_action_weight", -1.0),
         ("pwil_alpha", 0.0),
         ("pwil_beta", -5.0),
+        ("diffail_steps", 0),
+        ("diffail_penalty", -0.1),
         ("gradient_penalty", float("inf")),
     ],
 )

@@ -14,7 +14,7 @@ from qdil.errors import ConfigError
 from qdil.imitation.reward_model import InputModel, Inputs
 from qdil.methods import describe, method_names, parse_method, register
 
-IMITATORS = ["gail", "vail", "airl", "giril", "pwil", "maxent"]
+IMITATORS = ["gail", "vail", "airl", "giril", "pwil", "maxent", "diffail"]
 OTHERS = ["true", "zero"]
 
 
@@ -43,7 +43,7 @@ def test_every_base_has_its_variants_and_no_others():
     assert set(methods.bases()) == set(names)
     for base, expected in names.items():
         assert {name for name in method_names() if parse_method(name).base.name == base} == expected
-    assert len(method_names()) == len(set(method_names())) == 6 * 8 + 2 * 2
+    assert len(method_names()) == len(set(method_names())) == 7 * 8 + 2 * 2
     assert method_names()[0] == "true"
 
 

@@ -10,7 +10,7 @@ def test_methods_are_spelled_as_the_paper_spells_them():
     spelled = {
         "true": "Expert", "gail": "GAIL", "mconbo-gail": "MConbo-GAIL", "mcond-vail": "MCond-VAIL",
         "mbo-true": "Mbo-Expert", "maxent": "Max-Ent", "mconbo-gail-obs": "MConbo-GAIL from observation",
-        "mbo-nearest": "Mbo-nearest",
+        "mbo-nearest": "Mbo-nearest", "mbo-diffail": "Mbo-DiffAIL",
     }  # fmt: skip
     assert {method: names.title(method) for method in spelled} == spelled
 

@@ -34,7 +34,12 @@ OTHERS = {
     "eval_batch_size": 4,
 }
 SMALL = {"iterations": 3, "giril_steps": 20, "eval_chunk_steps": 5}
-METHODS = {"vail": "mconbo-vail", "giril": "giril", "pwil": "pwil"}  # by how a setting's name begins
+METHODS = {
+    "vail": "mconbo-vail",
+    "giril": "giril",
+    "pwil": "pwil",
+    "diffail": "diffail",
+}  # by how a setting's name begins
 
 
 def other_value(name, value):

@@ -145,14 +145,19 @@ class Demos:
     expert_obs: Literal["normalised", "raw"] = setting(
         "normalised", "expert observations: normalised as the policy's are, or raw (released program)"
     )
+    expert_batches: Literal["random", "first"] = setting(
+        "random", "expert rows of a learning step: drawn at random, or always every 20th row (released program)"
+    )
 
 
 @dataclass(frozen=True, config=STRICT)
 class Bonus:
     """The measure bonus (eq. 2)."""
 
-    bonus_scope: Literal["episode", "rollout"] = setting(
-        "episode", "whose measure the bonus reads: that of a step's episode, or of its rollout (released program)"
+    bonus_scope: Literal["episode", "rollout", "step"] = setting(
+        "episode",
+        "what the bonus reads: the measure of a step's episode, of its rollout (released program), or how often its own "
+        "δ was visited (WQDIL)",
     )
     bonus_p: NotNegative = setting(0.5, "p of eq. 2, reward per step (paper)")
     bonus_q: NotNegative = setting(0.5, "q of eq. 2, reward per step (paper; its own study prefers 1)")
@@ -187,13 +192,35 @@ class Reward:
     )
     vail_beta_rate: Positive = setting(1e-5, "dual ascent's step size (Peng et al., 2018)")
     vail_latent: AtLeastOne = setting(128, "size of VAIL's latent z (Peng et al., 2018)")
+    vail_encoder: Literal["linear", "squashed"] = setting(
+        "linear", "VAIL's μ and log σ: linear, or halves of the last hidden layer, σ < 1 (released program)"
+    )
+    vail_visits: bool = setting(
+        False, "add a bonus for rarely visited δ to measure-conditioned VAIL's reward (released program)"
+    )
     giril_steps: AtLeastOne = setting(5000, "steps of GIRIL's training before the run (ours)")
     giril_learning_rate: Positive = setting(3e-4, "Adam's step size for GIRIL (ours; as the other reward models')")
     giril_action_weight: NotNegative = setting(1.0, "α of eq. 9 (ours; the paper's Table 7 is lost)")
-    pwil_alpha: Positive = setting(5.0, "α of PWIL: the largest reward per step (Dadashi et al., 2021)")
-    pwil_beta: Positive = setting(5.0, "β of PWIL: how fast the reward falls with the cost (Dadashi et al., 2021)")
+    pwil_alpha: Positive = setting(
+        5.0, "α of PWIL: the largest reward per step (Dadashi et al., 2021; released program: 1)"
+    )
+    pwil_beta: Positive = setting(
+        5.0, "β of PWIL: how fast the reward falls with the cost (Dadashi et al., 2021; released program: 1)"
+    )
     pwil_coupling: Literal["episode", "step"] = setting(
         "episode", "expert mass is used up over an episode, or restored at each step (released program)"
+    )
+    diffail_steps: AtLeastOne = setting(
+        10, "T, noise levels of DiffAIL's diffusion (Wang et al., 2024; released program: 100)"
+    )
+    diffail_penalty: NotNegative = setting(
+        0.1, "weight of DiffAIL's gradient penalty (Wang et al., 2024: 0.001 to 0.5 by robot; released program: 10)"
+    )
+    diffail_loss: Literal["probability", "logit"] = setting(
+        "probability", "the cross entropy takes DiffAIL's D for a probability, or for a logit (released program)"
+    )
+    diffail_reward: Literal["row", "element"] = setting(
+        "row", "D in DiffAIL's reward: exp(-error) of the whole row, or its mean over the elements (released program)"
     )
 
 

@@ -12,6 +12,7 @@ from qdil.devices.hosts import to_host
 from qdil.devices.mesh import by_environment, choose_num_devices, laid_out, replicated
 from qdil.engine import aot
 from qdil.engine.programs import RewardPrograms, SearchPrograms, Store, reward_programs, search_programs
+from qdil.imitation.fitness import TrainingMemory
 from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.methods import name_of, parse_method
 from qdil.rl import networks, vppo
@@ -20,7 +21,7 @@ from qdil.rl.rollout import EnvBatch
 from qdil.rl.vppo import Experience, TrainState, Weighting
 from qdil.robots import register
 from qdil.robots.environment import Environment
-from qdil.types import ObsStats, RewardContext, RewardMemory, RewardState, Transitions
+from qdil.types import ObsStats, RewardContext, RewardState, Transitions
 
 Tree = TypeVar("Tree")
 
@@ -33,7 +34,7 @@ class State(NamedTuple):
     stats: ObsStats  # the one observation normaliser
     envs: EnvBatch  # robots in the middle of their episodes
     reward: RewardState  # ψ
-    memory: RewardMemory  # what the reward model remembers within the robots' episodes
+    memory: TrainingMemory  # what the reward model and the bonus remember of the robots
     store: Store  # of candidates' steps, for the reward model's learning
 
 

@@ -21,6 +21,7 @@ from qdil.devices.mesh import AXIS, make_mesh
 from qdil.devices.xla_options import ppo_options, single_threaded, unoptimised
 from qdil.engine.program import CHUNKS, REPLICATED, ROLLOUT, SHARDED, program
 from qdil.imitation import fitness, replay
+from qdil.imitation.fitness import TrainingMemory
 from qdil.imitation.reward_model import Demonstrations, reward_model
 from qdil.qd import branching, restart
 from qdil.rl import evaluate, networks, vppo
@@ -36,7 +37,6 @@ from qdil.types import (
     ObsStats,
     Params,
     RewardContext,
-    RewardMemory,
     RewardState,
     Transitions,
 )
@@ -156,26 +156,26 @@ class RewardPrograms:
     def __init__(self, config: Config, env: Environment, num_devices: int) -> None:
         self.config = config
         self.model = reward_model(config, env)
+        self.rule, self.k = fitness.bonus_rule(config), len(env.measure_names)
         self.mesh = make_mesh(num_devices)
 
     @program(gives=(REPLICATED, SHARDED))
-    def init(self, key: jax.Array, demos: Demonstrations | None) -> tuple[RewardState, RewardMemory]:
-        """ψ_0, trained already if the model learns before the run, and its memory of each training robot."""
+    def init(self, key: jax.Array, demos: Demonstrations | None) -> tuple[RewardState, TrainingMemory]:
+        """ψ_0, trained already if the model learns before the run, and the memory of each training robot."""
         reward = self.model.init(key, demos)
-        return reward, self.model.begin(reward, self.config.ppo.num_envs)
+        return reward, fitness.begin_training(self.model, self.rule, reward, self.config.ppo.num_envs, self.k)
 
     @program(takes=(REPLICATED, SHARDED, REPLICATED, REPLICATED, ROLLOUT), gives=(SHARDED, ROLLOUT))
     def compute(
         self,
         reward: RewardState,
-        memory: RewardMemory,
+        memory: TrainingMemory,
         context: RewardContext,
         bonus: jax.Array,
         transitions: Transitions,
-    ) -> tuple[RewardMemory, jax.Array]:
+    ) -> tuple[TrainingMemory, jax.Array]:
         """The fitness reward of a rollout (eq. 4); ``bonus`` (2,) is (p, q)."""
-        scope = self.config.bonus.bonus_scope
-        return fitness.compute_reward(self.model, scope, reward, memory, context, bonus, transitions)
+        return fitness.compute_reward(self.model, self.rule, reward, memory, context, bonus, transitions, AXIS)
 
     @program(gives=SHARDED)
     def begin_scoring(self, reward: RewardState) -> RewardSum:

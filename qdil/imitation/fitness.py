@@ -5,33 +5,83 @@ model alone (Algorithm 1, line 11): ``score_chunk``. The fitness reward is not t
 environment's own and which no imitating model reads.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
+from qdil.config import Config
 from qdil.finite import all_finite
-from qdil.imitation.bonus import measure_bonus
+from qdil.imitation.bonus import begin_visits, measure_bonus, visit_bonus, visit_shares
 from qdil.imitation.reward_model import Demonstrations, RewardModel
+from qdil.methods import parse_method
 from qdil.rl.evaluate import RewardSum, sum_counted
 from qdil.rl.rollout import where_each
 from qdil.types import RewardContext, RewardMemory, RewardState, Transitions
 
 
+class BonusRule(NamedTuple):
+    """What a run adds to the model's reward; p and q are arguments."""
+
+    scope: str  # the value of ``bonus_scope``
+    visits: bool  # whether 1 / (1 + ρ) of ``visit_bonus`` is added besides (``vail_visits``)
+
+    @property
+    def counts_visits(self) -> bool:
+        """Whether the visits of δ must be counted."""
+        return self.visits or self.scope == "step"
+
+
+def bonus_rule(config: Config) -> BonusRule:
+    """The rule of a run. Only measure-conditioned VAIL, with or without the measure bonus, reads ``vail_visits``.
+
+    In the authors' released program the reward of that model alone has a bonus for visits, whatever the archive's bonus.
+    """
+    method = parse_method(config.method)
+    visits = config.reward.vail_visits and method.base.name == "vail" and method.conditioned
+    return BonusRule(config.bonus.bonus_scope, visits)
+
+
+class TrainingMemory(NamedTuple):
+    """What is remembered of the training robots, axis (E) in front."""
+
+    model: RewardMemory  # what the reward model remembers within their episodes
+    visits: jax.Array | tuple[()]  # (E, 2^k) visits of each δ since the run began; () if they are not counted
+
+
+def begin_training(model: RewardModel, rule: BonusRule, reward: RewardState, num_envs: int, k: int) -> TrainingMemory:
+    """The memory of ``num_envs`` training robots (E) before their first step."""
+    visits = begin_visits(num_envs, k) if rule.counts_visits else ()
+    return TrainingMemory(model.begin(reward, num_envs), visits)
+
+
 def compute_reward(
     model: RewardModel,
-    scope: str,
+    rule: BonusRule,
     reward: RewardState,
-    memory: RewardMemory,
+    memory: TrainingMemory,
     context: RewardContext,
     bonus: jax.Array,
     transitions: Transitions,
-) -> tuple[RewardMemory, jax.Array]:
+    axis: str | None = None,
+) -> tuple[TrainingMemory, jax.Array]:
     """The fitness reward (T, E) of a training rollout: the model's reward plus the measure bonus (eq. 4).
 
-    ``bonus`` (2,) is (p, q) of eq. 2, and (0, 0) for methods without the bonus; ``scope`` as in ``measure_bonus``.
-    Also returns the model's memory after the rollout.
+    ``bonus`` (2,) is (p, q) of eq. 2, and (0, 0) for methods without the bonus. ``axis`` as in ``visit_shares``.
+    Also returns the memory after the rollout.
     """
-    memory, rewards = model.reward(reward, memory, context, transitions)
-    return memory, rewards + measure_bonus(transitions, context.occupied, bonus[0], bonus[1], scope)
+    p, q, visits = bonus[0], bonus[1], memory.visits
+    of_model, rewards = model.reward(reward, memory.model, context, transitions)
+    if rule.counts_visits:
+        assert not isinstance(visits, tuple), "begin_training counts visits by the same rule"
+        visits, shares = visit_shares(transitions.proxy, visits, axis)
+    if rule.scope == "step":
+        rewards += p + q * visit_bonus(shares)
+    else:
+        rewards += measure_bonus(transitions, context.occupied, p, q, rule.scope)
+    if rule.visits:
+        rewards += visit_bonus(shares)
+    return TrainingMemory(of_model, visits), rewards
 
 
 def begin_scoring(model: RewardModel, reward: RewardState, num_episodes: int) -> RewardSum:

@@ -13,6 +13,9 @@ from qdil.imitation.reward_model import Info, Inputs
 from qdil.types import Params
 
 
+SUBSAMPLED = 20  # the released program learns from one in so many steps of a demonstration
+
+
 class AdamState(NamedTuple):
     """Parameters ψ and the state of their optimiser."""
 
@@ -32,21 +35,31 @@ def sample_rows(key: jax.Array, inputs: Inputs, size: int) -> Inputs:
     return jax.tree.map(lambda x: jnp.take(x, index, axis=0), rows)
 
 
-def in_minibatches(
-    step: Callable[[jax.Array, Any, Inputs, Inputs], tuple[Any, Info]], steps: int, size: int
-) -> Callable[..., tuple[Any, Info]]:
-    """The ``update`` that calls ``step(key, state, expert, policy)`` ``steps`` times, each on ``size`` rows of both.
+def first_batch(inputs: Inputs, size: int) -> Inputs:
+    """Every ``SUBSAMPLED``th row of inputs (N), at most ``size`` of them: the one batch of the released program."""
+    return jax.tree.map(lambda x: x[::SUBSAMPLED][:size], inputs)
 
-    Its measurements are those of the last step.
+
+def in_minibatches(
+    step: Callable[[jax.Array, Any, Inputs, Inputs], tuple[Any, Info]], config: Config
+) -> Callable[..., tuple[Any, Info]]:
+    """The ``update`` that calls ``step(key, state, expert, policy)`` ``reward_steps`` times, on equally many rows of both.
+
+    Policy rows are drawn at random; there are ``reward_batch``. So are expert rows by default. With
+    ``expert_batches=first`` they are those of ``first_batch``, the same at every step.
+    The measurements are those of the last step.
     """
+    settings, first = config.reward, config.demos.expert_batches == "first"
 
     def update(key: jax.Array, state: Any, expert: Inputs, policy: Inputs) -> tuple[Any, Info]:
         def minibatch(state: Any, key: jax.Array) -> tuple[Any, Info]:
             expert_key, policy_key, step_key = jax.random.split(key, 3)
-            expert_rows, policy_rows = sample_rows(expert_key, expert, size), sample_rows(policy_key, policy, size)
+            size = settings.reward_batch
+            expert_rows = first_batch(expert, size) if first else sample_rows(expert_key, expert, size)
+            policy_rows = sample_rows(policy_key, policy, len(expert_rows.obs))
             return step(step_key, state, expert_rows, policy_rows)
 
-        state, info = jax.lax.scan(minibatch, state, jax.random.split(key, steps))
+        state, info = jax.lax.scan(minibatch, state, jax.random.split(key, settings.reward_steps))
         return state, jax.tree.map(lambda x: x[-1], info)
 
     return update
@@ -70,4 +83,4 @@ def by_adam(
         change, opt_state = opt.update(grads, state.opt)
         return AdamState(optax.apply_updates(state.params, change), opt_state), info
 
-    return begin, in_minibatches(step, config.reward.reward_steps, config.reward.reward_batch)
+    return begin, in_minibatches(step, config)

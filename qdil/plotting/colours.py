@@ -40,9 +40,11 @@ METHOD_COLOURS = {
     "mconbo-pwil": "#332288",
     "maxent": "#bbbbbb",
     "mconbo-maxent": "#4d4d4d",
+    "diffail": "#c49a6c",
+    "mconbo-diffail": "#6b3a0a",
 }
 OTHER_COLOURS = (PINK, "#882255", GREY, "#332288", "#117733")  # of names that are no methods, and of new bases
-MARKERS = {"gail": "o", "vail": "s", "airl": "^", "giril": "v", "pwil": "D", "maxent": "P", "zero": "X"}
+MARKERS = {"gail": "o", "vail": "s", "airl": "^", "giril": "v", "pwil": "D", "maxent": "P", "diffail": "p", "zero": "X"}
 FILLS = {(False, False): "none", (True, False): "left", (False, True): "bottom", (True, True): "full"}
 DASHES: tuple[Any, ...] = (
     "-",

@@ -61,17 +61,21 @@ def test_divergence_of_many_rows_is_each_rows_own():
 def loss_in_numpy(params, beta, expert, policy, noise, mix, settings):
     """Eq. 5's Lagrangian with the gradient penalty, by loops over rows; noise (2N, Z), mixing weights (N, 1 or F)."""
     (first, last), (head,) = params["encoder"], params["head"]
+    squashed = settings.reward.vail_encoder == "squashed"
     cross_entropy, information, penalty = 0.0, 0.0, 0.0
     for i, x in enumerate([*expert, *policy]):
         mean, log_std = np.split(forward(params["encoder"], x), 2)
         std = np.exp(log_std)
+        if squashed:
+            mean, std = np.tanh(mean), 1 / (1 + np.exp(-np.tanh(log_std)))
         d = 1 / (1 + np.exp(-((mean + std * noise[i]) @ head["w"] + head["b"])[0]))
         cross_entropy -= np.log(d) / len(expert) if i < len(expert) else np.log(1 - d) / len(policy)
         information += sum((m**2 + s**2 - 1) / 2 - np.log(s) for m, s in zip(mean, std, strict=True))
     information /= len(expert) + len(policy)
     for x, y, share in zip(expert, policy, mix, strict=True):
         hidden = np.tanh((share * x + (1 - share) * y) @ first["w"] + first["b"])
-        slope = first["w"] @ ((1 - hidden**2) * (last["w"][:, :LATENT] @ head["w"][:, 0]))
+        steepness = 1 - np.tanh(hidden @ last["w"] + last["b"])[:LATENT] ** 2 if squashed else 1
+        slope = first["w"] @ ((1 - hidden**2) * (last["w"][:, :LATENT] @ (steepness * head["w"][:, 0])))
         penalty += (np.linalg.norm(slope) - 1) ** 2 / len(expert)
     constraint = beta * (information - settings.reward.vail_information)
     return cross_entropy + constraint + settings.reward.gradient_penalty * penalty, cross_entropy, information
@@ -80,8 +84,9 @@ def loss_in_numpy(params, beta, expert, policy, noise, mix, settings):
 @pytest.mark.parametrize("beta", [0.0, 0.3])
 @pytest.mark.parametrize("mixing", ["sample", "element"])
 @pytest.mark.parametrize("how", ["adaptive", "fixed"])
-def test_loss_is_the_papers(problem, beta, mixing, how):
-    settings = config(vail_beta=how, penalty_mixing=mixing, gradient_penalty=2.0)
+@pytest.mark.parametrize("encoder", ["linear", "squashed"])
+def test_loss_is_the_papers(problem, beta, mixing, how, encoder):
+    settings = config(vail_beta=how, penalty_mixing=mixing, gradient_penalty=2.0, vail_encoder=encoder)
     noise_key, mix_key = jax.random.split(jax.random.key(7))
     noise = np.asarray(jax.random.normal(noise_key, (2 * ROWS, LATENT))) * (how == "adaptive")
     mix = np.asarray(jax.random.uniform(mix_key, (ROWS, 1 if mixing == "sample" else FEATURES)))
@@ -175,3 +180,27 @@ def test_reward_is_of_the_mean_latent(method):
         mean = forward(params["encoder"], x)[:LATENT]
         d = 1 / (1 + np.exp(-forward(params["head"], mean)[0]))
         assert reward[t, e] == pytest.approx(-np.log(1 - d), rel=1e-3)
+
+
+def test_a_squashed_encoders_latent_is_half_of_its_last_hidden_layer():
+    # The released program's: 100 units, of which 50 are the mean and 50 give deviations below 1.
+    model = built("mcond-vail", reward_hidden=(7, 100), vail_encoder="squashed", vail_latent=LATENT)
+    steps = steps_of(np.random.default_rng(1), time=3, envs=4)
+    state = model.init(jax.random.key(0), demos_of(steps))
+    params = in_numpy(state.inner.params)
+    widths = [layer["w"].shape for layer in (*params["encoder"], *params["head"])]
+    assert widths == [(OBS + ACTIONS + 2, 7), (7, 100), (50, 1)]
+    _, reward = model.reward(state, (), CONTEXT, steps)
+    for at in np.ndindex(*reward.shape):
+        x = np.concatenate([(steps.obs[at] - STATS.mean) / STATS.std, steps.action[at], steps.proxy[at]])
+        layers = [np.tanh(forward(params["encoder"][:1], x))]
+        mean = np.tanh(layers[0] @ params["encoder"][1]["w"] + params["encoder"][1]["b"])[:50]
+        d = 1 / (1 + np.exp(-forward(params["head"], mean)[0]))
+        assert reward[at] == pytest.approx(-np.log(1 - d), rel=1e-3)
+
+
+def test_deviations_of_a_squashed_encoder_are_sigmoids_of_its_other_half():
+    layer = {"w": np.diag([1.0, 2.0, 3.0, -100.0]), "b": np.zeros(4)}
+    mean, log_std = encode({"encoder": [layer]}, np.ones(4), "squashed")
+    np.testing.assert_allclose(mean, np.tanh([1, 2]), rtol=1e-6)
+    np.testing.assert_allclose(np.exp(log_std), [1 / (1 + np.exp(-np.tanh(3))), 1 / (1 + np.e)], rtol=1e-6)

@@ -1,1 +1,1 @@
-"""The paper's reward models, one file each; ``qdil.methods`` lists them in the order of the paper's Table 1."""
+"""Reward models, one file each; ``qdil.methods`` lists them in the order of the paper's Table 1, DiffAIL last."""

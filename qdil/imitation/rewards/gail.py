@@ -6,8 +6,8 @@ the expert's, and never negative, so a robot gains by staying alive whatever it 
 AIRL's reward is another one: log D − log(1−D), which has either sign.
 
 Departures from the authors' released program: expert and policy observations share one normaliser (``expert_obs``).
-Expert rows are drawn at random; the program always takes the first batch. The gradient penalty, which the paper does
-not mention, mixes per sample; the program mixes per element (``penalty_mixing``).
+Expert rows are drawn at random; the program always takes the same batch (``expert_batches``). The gradient penalty,
+which the paper does not mention, mixes per sample; the program mixes per element (``penalty_mixing``).
 
 References
 - J. Ho, S. Ermon, 2016. Generative Adversarial Imitation Learning. arXiv:1606.03476.
@@ -37,13 +37,13 @@ def mixing_weights(key: jax.Array, x: jax.Array, mixing: str) -> jax.Array:
     return jax.random.uniform(key, (len(x), 1 if mixing == "sample" else x.shape[1]))
 
 
-def gradient_penalty(logit: Any, expert: jax.Array, policy: jax.Array, mix: jax.Array) -> jax.Array:
+def gradient_penalty(logit: Any, expert: jax.Array, policy: jax.Array, mix: jax.Array, *others: Any) -> jax.Array:
     """The mean of (‖∇_x logit(x̂)‖ − 1)² at x̂ = mix·expert + (1−mix)·policy (Gulrajani et al., 2017).
 
-    ``expert`` and ``policy`` (N, F); ``logit`` is a function of one row (F,).
+    ``expert`` and ``policy`` (N, F); ``logit`` is a function of one row (F,), and of one row of each of ``others`` (N, …).
     """
     between = mix * expert + (1.0 - mix) * policy
-    slopes = jax.vmap(jax.grad(logit))(between)
+    slopes = jax.vmap(jax.grad(logit))(between, *others)
     return jnp.mean(jnp.square(jnp.sqrt(jnp.sum(jnp.square(slopes), axis=-1) + 1e-12) - 1.0))
 
 
