@@ -57,10 +57,9 @@ def check(config: Config) -> None:
     measures = f"{k} measure{'s' if k > 1 else ''} of {config.env}"
     copies = f"must be divisible by {1 + k}, the number of copies that VPPO trains for the {measures}"
     _require(config.ppo.num_envs % (1 + k) == 0, config, "num_envs", copies)
-    by_step = "must be false with bonus_scope=step, whose bonus belongs to no episode"
-    _require(
-        not (config.bonus.bonus_in_fitness and config.bonus.bonus_scope == "step"), config, "bonus_in_fitness", by_step
-    )
+    of_episodes = not config.bonus.bonus_in_fitness or config.bonus.bonus_scope != "step"
+    rule = "must be false with bonus_scope=step, whose bonus belongs to no episode"
+    _require(of_episodes, config, "bonus_in_fitness", rule)
 
 
 def _require(holds: bool, config: Config, name: str, rule: str) -> None:

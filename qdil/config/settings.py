@@ -156,8 +156,8 @@ class Bonus:
 
     bonus_scope: Literal["episode", "rollout", "step"] = setting(
         "episode",
-        "what the bonus reads: the measure of a step's episode, of its rollout (released program), or how often its own "
-        "δ was visited (WQDIL)",
+        "what the bonus reads: the measure of a step's episode, that of its rollout (released program), or how often "
+        "the step's own δ was visited (WQDIL)",
     )
     bonus_p: NotNegative = setting(0.5, "p of eq. 2, reward per step (paper)")
     bonus_q: NotNegative = setting(0.5, "q of eq. 2, reward per step (paper; its own study prefers 1)")

@@ -2,10 +2,10 @@
 
 m is the measure of the episode, A_e the part of measure space whose archive cells are empty.
 
-The *single-step bonus* is another one, of a follow-up of the paper (WQDIL): p + q / (1 + ρ), where ρ is the share of all
-training steps so far whose δ was the δ(s_t) of this step (``bonus_scope=step``). It asks how often a foot contact
-occurred, and not whether an archive cell is filled. With k feet δ has 2^k values, the cells of the *single-step archive*.
-WQDIL has p = 0 and q = 1. Its bonus is near 1 for a δ that is new and ½ for the only δ that ever occurs.
+The *single-step bonus* of a follow-up of the paper (WQDIL) is another one: p + q / (1 + ρ), where ρ is the share of
+all training steps so far whose δ was the δ(s_t) of this step (``bonus_scope=step``). It asks how often a foot contact
+occurred, and not whether an archive cell is filled. With k feet δ has 2^k values: the cells of WQDIL's *single-step
+archive*. WQDIL has p = 0 and q = 1. Its bonus is near 1 for a new δ, and ½ for the only δ that ever occurs.
 
 Reference
 - X. Yu, Z. Wan, D. M. Bossens, Y. Lyu, Q. Guo, I. W. Tsang, 2025. Imitation from Diverse Behaviors: Wasserstein Quality
@@ -76,8 +76,8 @@ def visit_shares(proxy: jax.Array, visits: jax.Array, axis: str | None = None) -
     """ρ (T, E): for every step, the share of all earlier steps, of all robots, whose δ was this step's.
 
     ``proxy`` (T, E, k) in {0, 1}; ``visits`` (E, 2^k) are those of each robot before this rollout. Every value of δ
-    counts one visit more than it had, as in the authors' program, so that ρ is defined at the first step. With the
-    robots on several devices, ``axis`` names the mesh axis over which they are. Also returns the visits after the rollout.
+    counts one visit more than it had, as in the authors' program, so that ρ is defined at the first step. If the
+    robots are shared out over devices, ``axis`` names that mesh axis. Also returns the visits after the rollout.
     """
     total = partial(jax.lax.psum, axis_name=axis) if axis else lambda x: x
     value = jnp.sum(proxy.astype(jnp.int32) * 2 ** jnp.arange(proxy.shape[-1]), axis=-1)  # (T, E) of 0 to 2^k - 1

@@ -35,7 +35,7 @@ class BonusRule(NamedTuple):
 def bonus_rule(config: Config) -> BonusRule:
     """The rule of a run. Only measure-conditioned VAIL, with or without the measure bonus, reads ``vail_visits``.
 
-    In the authors' released program the reward of that model alone has a bonus for visits, whatever the archive's bonus.
+    In the authors' released program the reward of that model, and of no other in use, has a bonus for visits.
     """
     method = parse_method(config.method)
     visits = config.reward.vail_visits and method.base.name == "vail" and method.conditioned

@@ -12,7 +12,6 @@ from qdil.config import Config
 from qdil.imitation.reward_model import Info, Inputs
 from qdil.types import Params
 
-
 SUBSAMPLED = 20  # the released program learns from one in so many steps of a demonstration
 
 
@@ -43,11 +42,10 @@ def first_batch(inputs: Inputs, size: int) -> Inputs:
 def in_minibatches(
     step: Callable[[jax.Array, Any, Inputs, Inputs], tuple[Any, Info]], config: Config
 ) -> Callable[..., tuple[Any, Info]]:
-    """The ``update`` that calls ``step(key, state, expert, policy)`` ``reward_steps`` times, on equally many rows of both.
+    """The ``update`` that calls ``step(key, state, expert, policy)`` ``reward_steps`` times.
 
-    Policy rows are drawn at random; there are ``reward_batch``. So are expert rows by default. With
-    ``expert_batches=first`` they are those of ``first_batch``, the same at every step.
-    The measurements are those of the last step.
+    Each step gets ``reward_batch`` expert rows, drawn at random, or with ``expert_batches=first`` the rows of
+    ``first_batch``; and equally many policy rows, drawn at random. The measurements are those of the last step.
     """
     settings, first = config.reward, config.demos.expert_batches == "first"
 

@@ -177,7 +177,7 @@ def test_shares_of_visits_agree_with_a_slow_loop_over_several_rollouts(seed, k):
 
 
 def test_a_visits_bonus_by_hand():
-    # One foot, one robot. Before the run each δ counts once: ½; then 1 was seen: of three visits two were to 1; and so on.
+    # One foot, one robot. Before the run each δ counts once: ½, then 1 has two of three visits, and so on.
     visits, shares = visit_shares(jnp.float32([1, 1, 0, 0]).reshape(4, 1, 1), begin_visits(1, 1))
     np.testing.assert_allclose(np.ravel(shares), [1 / 2, 2 / 3, 1 / 4, 2 / 5], rtol=1e-6)
     np.testing.assert_allclose(np.ravel(visit_bonus(shares)), [2 / 3, 3 / 5, 4 / 5, 5 / 7], rtol=1e-6)
@@ -196,7 +196,7 @@ def test_robots_on_two_devices_share_their_visits():
 
 
 def paid(rule, rollout, p, q):
-    """The bonus (T, E) of a reward model that always gives ten, for two rollouts in a row, and the visits at the end."""
+    """What is added (T, E) to a reward of ten, in each of two rollouts, and the visits at the end."""
     model = RewardModel(lambda key, demos: (), lambda state, memory, *_: (memory, jnp.full((TIME, ENVS), 10.0)))
     context = RewardContext(Normaliser(jnp.zeros(1), jnp.ones(1)), jnp.zeros((4, 4), bool).at[0, 0].set(True))
     memory, found = begin_training(model, rule, (), ENVS, 2), []

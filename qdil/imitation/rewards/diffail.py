@@ -4,18 +4,20 @@ A diffusion model learns to find the noise ε in a noisy row x_t = √ᾱ_t x + 
 e_t = mean over elements of (ε − ε_ψ(x_t, t))² is small where x resembles the rows that it knows, so
 D_ψ(x, ε, t) = exp(−e_t) ∈ (0, 1]. Unlike a plain diffusion model, this one learns from the policy's rows, too.
 
-Signs: D is the probability that a step is the *expert's*. The model minimises E_D[−log D] + E_π[−log(1−D)], with ε and t
-drawn anew for every row; since −log D = e_t, the first term is the usual loss of a diffusion model. The reward of a step
-is −log(1−D) ≥ 0 with D averaged over all T noise levels: higher for steps that look like the expert's, never negative.
+Signs: D is the probability that a step is the *expert's*. The model minimises E_D[−log D] + E_π[−log(1−D)], with ε and
+t drawn anew for every row. Since −log D = e_t, the first term is the usual loss of a diffusion model. The reward of a
+step is −log(1−D) ≥ 0 with D averaged over all T noise levels: higher for steps that look like the expert's, and never
+negative.
 
-The reward must not depend on the chunk or the device that computes it, so all rows share one ε per noise level, which
-is drawn again after every round of learning. The published program draws ε for every row.
+The reward must not depend on the chunk or the device that computes it. So all rows share one ε per noise level, which
+is drawn again after every round of learning. Wang et al. draw ε for every row.
 
-Constants and departures: β_t rises linearly from 1e-4 to 0.02 in T = 10 steps, as in Wang et al. They have three layers of
-128 Mish units and a small network for t; here the network is that of the other reward models (``reward_hidden``), and
-the sines and cosines of t are inputs. Their ``-obs`` variant sees (s, s'); here it sees (s, δ), as everywhere.
-The program that the authors of QD-IL released has T = 100, ``diffail_penalty=10``, takes D for a logit (``diffail_loss``)
-and averages exp(−error) over elements in the reward (``diffail_reward``; so does the program of Wang et al.). Both
+As in the program of Wang et al., β_t rises linearly from 1e-4 to 0.02 in T = 10 steps. They have three layers of 128
+Mish units, a small network for t, and a step size of 3e-5. Here network and step size are those of the other reward
+models (``reward_hidden``, ``reward_learning_rate``), and sines and cosines of t are inputs. Without actions, they see
+(s, s'); ``diffail-obs`` sees s alone.
+The program that the authors of QD-IL released has T = 100 and ``diffail_penalty=10``. It takes D for a logit
+(``diffail_loss``) and averages exp(−error) over elements in the reward (``diffail_reward``), as Wang et al. do. Both
 programs mix the points of the gradient penalty per sample, whatever ``penalty_mixing`` says.
 
 References

@@ -40,7 +40,7 @@ def mixing_weights(key: jax.Array, x: jax.Array, mixing: str) -> jax.Array:
 def gradient_penalty(logit: Any, expert: jax.Array, policy: jax.Array, mix: jax.Array, *others: Any) -> jax.Array:
     """The mean of (‖∇_x logit(x̂)‖ − 1)² at x̂ = mix·expert + (1−mix)·policy (Gulrajani et al., 2017).
 
-    ``expert`` and ``policy`` (N, F); ``logit`` is a function of one row (F,), and of one row of each of ``others`` (N, …).
+    ``expert`` and ``policy`` (N, F); ``logit`` is a function of one row (F,), and a row of each of ``others`` (N, …).
     """
     between = mix * expert + (1.0 - mix) * policy
     slopes = jax.vmap(jax.grad(logit))(between, *others)
