@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # slow to import
     from qdil.lab.background.strategies import Chase
 
 ALGORITHM_COLOURS = {
+    "nslc": GREEN,
     "map-elites": GREY,
     "cma-me": ORANGE,
     "cma-mega": BLUE,

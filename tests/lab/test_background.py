@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from ribs.archives import GridArchive
 
-from qdil.lab.background import algorithms, problems
+from qdil.lab.background import algorithms, competition, problems
 from qdil.lab.background.algorithms import ALGORITHMS
 from qdil.lab.background.problems import LIMIT, OFFSET, Problem
 
@@ -191,7 +191,7 @@ def test_the_archive_holds_the_best_of_all_evaluations(name):
     assert history["best"][-1] == max(best.values())
     assert history["evaluations"].tolist() == [16 * i for i in range(1, 11)]
     assert sum(map(len, batches)) == 160
-    assert (result.searched is result.archive) == (name not in SOFT)
+    assert (result.searched is result.archive) == (name not in (*SOFT, "nslc"))
 
 
 def replay(problem: Problem, batches: list[np.ndarray], cells: int, alpha: float, floor: float):
@@ -324,6 +324,76 @@ def test_the_archive_never_gets_worse(name):
         assert np.all(np.diff(history[column]) >= 0)
     assert history["coverage"][-1] > history["coverage"][0]
     assert history["best"][-1] > history["best"][0]
+
+
+def found_by_hand(known, f, m, neighbours, width):
+    """Novelty and local competition of one solution against ``known`` (objective, measures) ones."""
+    if not known:
+        return width, 0
+    near = sorted(known, key=lambda other: np.linalg.norm(other[1] - m))[:neighbours]
+    return np.mean([np.linalg.norm(other - m) for _, other in near]), sum(other < f for other, _ in near)
+
+
+def fronts_by_hand(values):
+    """Indices front by front: what no one else is at least as good as in both values, and better in one."""
+    left, fronts = set(range(len(values))), []
+    while left:
+        beaten = {
+            i
+            for i in left
+            for j in left
+            if values[j][0] >= values[i][0] and values[j][1] >= values[i][1] and values[j] != values[i]
+        }
+        fronts.append(left - beaten)
+        left = beaten
+    return fronts
+
+
+def test_novelty_search_keeps_what_is_novel_or_better_than_its_neighbour_and_breeds_the_first_fronts():
+    problem = problems.arm(3)._replace(sigma=1e-4)
+    start = np.random.default_rng(5).normal(size=(3, 12, 3))  # three generations that are far apart
+    width, known, bred = 6 / 8, [], 0
+    archive = competition.novelty_archive(problem, 8, seed=0)
+    for first in start:
+        emitter = competition.Generations(archive, problem.sigma, first, seed=1)
+        objective, measures = problem.evaluate(emitter.ask())
+        found = [
+            found_by_hand(known, f, m, competition.NEIGHBOURS, width) for f, m in zip(objective, measures, strict=True)
+        ]
+        info = archive.add(first, objective, measures)
+        np.testing.assert_allclose(info["novelty"], [novelty for novelty, _ in found])
+        assert info["local_competition"].tolist() == [beaten for _, beaten in found]
+
+        # What is not novel enough competes with its nearest neighbour; the best of a batch takes that place.
+        before = list(known)
+        for (novelty, _), f, m in zip(found, objective, measures, strict=True):
+            if novelty >= width:
+                known.append((f, m))
+                continue
+            nearest = min(range(len(before)), key=lambda i, m=m: np.linalg.norm(before[i][1] - m))
+            if f > known[nearest][0]:
+                known[nearest] = (f, m)
+        np.testing.assert_allclose(sorted(archive.data("objective")), sorted(f for f, _ in known))
+
+        emitter.tell(first, objective, measures, info)
+        parents = {int(np.linalg.norm(first - child, axis=1).argmin()) for child in emitter.ask()}
+        distances = [np.linalg.norm(first - child, axis=1).min() for child in emitter.ask()]
+        assert len(parents) == 6 and max(distances) < 1e-3
+        whole: set[int] = set()
+        for front in fronts_by_hand(found):
+            if len(whole | front) > 6:
+                assert whole <= parents <= whole | front
+                bred += bool(whole)
+                break
+            whole |= front
+    assert bred > 0  # at least one generation had a first front that did not fill half of it
+
+
+def test_novelty_search_spreads_further_than_chance():
+    problem, rng = problems.sphere(DIM), np.random.default_rng(0)
+    measures = problem.evaluate(rng.normal(size=(ITERATIONS * BATCH, DIM)))[1]
+    cells = {cell_of(m, problem, CELLS) for m in measures}
+    assert last("coverage", "nslc").mean() > 1.2 * len(cells) / CELLS**2
 
 
 def test_map_elites_puts_noise_on_earlier_elites():

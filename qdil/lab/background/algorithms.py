@@ -1,8 +1,10 @@
 """The algorithms that PPGA grew from, in pyribs: MAP-Elites, CMA-ME, CMA-MEGA, CMA-MAEGA, the last two also with xNES.
 
-Papers: Mouret & Clune (2015); Fontaine et al. (2020), CMA-ME; Fontaine & Nikolaidis (2021), "Differentiable Quality
-Diversity" (DQD); Fontaine & Nikolaidis (2023), "Covariance Matrix Adaptation MAP-Annealing" (MAP-Annealing). A source
-named beside a setting means the paper and the program published with it.
+Beside them stands novelty search with local competition ("nslc"), which is older (section 2.1).
+Papers: Lehman & Stanley (2011), "Evolving a Diversity of Virtual Creatures through Novelty Search and Local
+Competition"; Mouret & Clune (2015); Fontaine et al. (2020), CMA-ME; Fontaine & Nikolaidis (2021), "Differentiable
+Quality Diversity" (DQD); Fontaine & Nikolaidis (2023), "Covariance Matrix Adaptation MAP-Annealing" (MAP-Annealing). A
+source named beside a setting means the paper and the program published with it.
 
 Departure: eq. 16 of the QD-IL paper weighs ∇f with |c_0|. Here, as in pyribs and in the programs of DQD and
 MAP-Annealing, c_0 keeps its sign, so that a candidate may also move against ∇f.
@@ -13,10 +15,11 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from ribs.archives import GridArchive
+from ribs.archives import ArchiveBase, GridArchive, ProximityArchive
 from ribs.emitters import EmitterBase, EvolutionStrategyEmitter, GaussianEmitter, GradientArborescenceEmitter
 from ribs.schedulers import Scheduler
 
+from qdil.lab.background.competition import Generations, novelty_archive
 from qdil.lab.background.problems import Problem
 from qdil.qd.xnes import XNES
 
@@ -24,17 +27,18 @@ from qdil.qd.xnes import XNES
 class Result(NamedTuple):
     """A finished run."""
 
-    searched: GridArchive  # the archive that guided the search; CMA-MAEGA's is soft
-    archive: GridArchive  # the best solution found in every cell; the same object as ``searched`` unless that is soft
+    searched: ArchiveBase  # the archive that guided the search; CMA-MAEGA's is soft, and that of nslc has no cells
+    archive: GridArchive  # the best solution found in every cell; the same object as ``searched`` for the others
     history: dict[str, np.ndarray]  # one row per iteration: evaluations, and ``metrics`` of ``archive``
 
 
 class Algorithm(NamedTuple):
     """The parts in which the algorithms differ."""
 
-    emitter: Callable[[Problem, GridArchive, int, int], EmitterBase]  # (problem, archive, evaluations, seed)
+    emitter: Callable[[Problem, Any, int, int], EmitterBase]  # (problem, archive, evaluations, seed)
     uses_gradients: bool = False
     soft: bool = False  # a soft archive (with thresholds) guides the search
+    novelty: bool = False  # an archive of novel solutions, without cells, guides the search
 
 
 def run_algorithm(
@@ -63,10 +67,11 @@ def run_algorithm(
         _check_softness(problem, learning_rate, threshold_min)
     soft = {"learning_rate": learning_rate, "threshold_min": threshold_min} if chosen.soft else {}
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(emitters + 1)]
-    searched = _grid(problem, cells, seed=seeds[0], **soft)
+    grid = _grid(problem, cells, seed=seeds[0], **soft)
+    searched = novelty_archive(problem, cells, seeds[0]) if chosen.novelty else grid
     sources = [chosen.emitter(problem, searched, batch, s) for s in seeds[1:]]
-    archive = _grid(problem, cells) if chosen.soft else searched
-    scheduler = Scheduler(searched, sources, archive if chosen.soft else None)
+    archive = _grid(problem, cells) if chosen.soft else grid
+    scheduler = Scheduler(searched, sources, None if searched is archive else archive)
     rows = []
     for iteration in range(1, iterations + 1):
         if chosen.uses_gradients:
@@ -92,10 +97,19 @@ def metrics(archive: GridArchive) -> dict[str, float]:
     }
 
 
+def _first_batch(problem: Problem, batch: int, seed: int) -> np.ndarray:
+    """(batch, d) from N(0, I), as DQD's initial population (which had 100 solutions, not counted as evaluations)."""
+    return np.random.default_rng([seed, 0]).standard_normal((batch, problem.solution_dim))
+
+
+def _competition(problem: Problem, archive: ProximityArchive, batch: int, seed: int) -> EmitterBase:
+    """Novelty search with local competition, from MAP-Elites' first batch and with its noise."""
+    return Generations(archive, problem.sigma, _first_batch(problem, batch, seed), seed)
+
+
 def _gaussian(problem: Problem, archive: GridArchive, batch: int, seed: int) -> EmitterBase:
     """MAP-Elites: random elites plus isotropic noise."""
-    # The first batch is N(0, I), as DQD's initial population (which had 100 solutions, not counted as evaluations).
-    start = np.random.default_rng([seed, 0]).standard_normal((batch, problem.solution_dim))
+    start = _first_batch(problem, batch, seed)
     return GaussianEmitter(archive, sigma=problem.sigma, initial_solutions=start, batch_size=batch, seed=seed)
 
 
@@ -144,6 +158,7 @@ def _dqd(es: Any, rules: dict[str, Any], soft: bool) -> Algorithm:
 
 
 ALGORITHMS = {
+    "nslc": Algorithm(_competition, novelty=True),
     "map-elites": Algorithm(_gaussian),
     "cma-me": Algorithm(_evolution),
     "cma-mega": _dqd("cma_es", _MEGA, soft=False),
