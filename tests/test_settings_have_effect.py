@@ -32,6 +32,7 @@ OTHERS = {
     "archive_learning_rate": 0.1,
     "giril_steps": 30,
     "eval_batch_size": 4,
+    "diffail_levels": 3,
 }
 SMALL = {"iterations": 3, "giril_steps": 20, "eval_chunk_steps": 5}
 METHODS = {

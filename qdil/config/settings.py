@@ -213,6 +213,9 @@ class Reward:
     diffail_steps: AtLeastOne = setting(
         10, "T, noise levels of DiffAIL's diffusion (Wang et al., 2024; released program: 100)"
     )
+    diffail_levels: AtLeastOne = setting(
+        10, "the most noise levels, evenly spread over T, that DiffAIL's reward averages over (ours; all elsewhere)"
+    )
     diffail_penalty: NotNegative = setting(
         0.1, "weight of DiffAIL's gradient penalty (Wang et al., 2024: 0.001 to 0.5 by robot; released program: 10)"
     )

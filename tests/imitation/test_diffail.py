@@ -14,10 +14,12 @@ from qdil.imitation.rewards.diffail import (
     TIME_INPUTS,
     Levels,
     cross_entropy,
+    draw_noise,
     errors,
     loss,
     noise_levels,
     rewards_of,
+    spread_levels,
 )
 from qdil.rl.networks import init_mlp
 
@@ -159,8 +161,9 @@ def test_cross_entropy_is_finite_for_any_error(values, how):
 
 @pytest.mark.parametrize("how", ["row", "element"])
 @pytest.mark.parametrize("method", ["diffail", "mcond-diffail", "diffail-obs"])
-def test_reward_agrees_with_a_slow_loop(method, how):
-    model = built(method, diffail_steps=STEPS, diffail_reward=how)
+@pytest.mark.parametrize("levels", [range(STEPS), [1, 3]])
+def test_reward_agrees_with_a_slow_loop(method, how, levels):
+    model = built(method, diffail_steps=STEPS, diffail_reward=how, diffail_levels=len(levels))
     steps = steps_of(np.random.default_rng(1), time=3, envs=2)
     state = model.init(jax.random.key(0), demos_of(steps))
     params, noise = in_numpy(state.inner.learner.params), np.asarray(state.inner.noise, float)
@@ -169,9 +172,29 @@ def test_reward_agrees_with_a_slow_loop(method, how):
         x = (steps.obs[at] - STATS.mean) / STATS.std
         x = x if method.endswith("-obs") else np.concatenate([x, steps.action[at]])
         x = np.concatenate([x, steps.proxy[at]]) if method.startswith("mcond-") else x
-        error = [error_in_numpy(params, x, noise[t], t) for t in range(STEPS)]
+        error = [error_in_numpy(params, x, one, t) for one, t in zip(noise, levels, strict=True)]
         d = np.mean(np.exp(-np.mean(error, axis=1)) if how == "row" else np.exp(-np.array(error)))
         assert reward[at] == pytest.approx(-np.log(1 - d), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("steps", "count", "used"), [(4, 4, [0, 1, 2, 3]), (3, 9, [0, 1, 2]), (100, 10, range(5, 100, 10)), (7, 1, [3])]
+)
+def test_levels_of_the_reward_are_spread_evenly(steps, count, used):
+    for some, whole in zip(spread_levels(steps, count), noise_levels(steps), strict=True):
+        np.testing.assert_array_equal(some, np.asarray(whole)[list(used)])
+
+
+@given(st.integers(1, 9), st.integers(1, 4), st.integers(0, 9))
+def test_noise_of_the_reward_comes_in_opposite_pairs(levels, features, seed):
+    noise = np.asarray(draw_noise(jax.random.key(seed), (levels, features)))
+    assert noise.shape == (levels, features) and len(np.unique(np.abs(noise))) == -(-levels // 2) * features
+    np.testing.assert_array_equal(noise[1::2], -noise[: levels - levels % 2 : 2])
+
+
+def test_noise_of_the_reward_is_standard_normal():
+    noise = np.asarray(draw_noise(jax.random.key(0), (2, 20000)))
+    assert noise.std() == pytest.approx(1, rel=0.02) and np.mean(noise[0] ** 4) == pytest.approx(3, rel=0.1)
 
 
 def test_reward_of_a_perfect_model_is_the_largest():
@@ -207,12 +230,13 @@ def test_rewards_of_demonstration_like_steps_are_higher_after_learning(how, rewa
         "diffail", reward_hidden=(32,), reward_learning_rate=3e-3, reward_steps=300, reward_batch=64,
         diffail_loss=how, diffail_reward=reward,
     )  # fmt: skip
-    expert, policy, like_expert, like_policy = (steps_of(rng, shift=s) for s in (2.0, 0.0, 2.0, 0.0))
-    begun = model.init(jax.random.key(1), demos_of(expert))
-    state, _ = jax.jit(model.update)(jax.random.key(0), begun, CONTEXT, demos_of(expert), policy)
-
-    def separation(state):
+    there, here, like_there, like_here = (steps_of(rng, shift=s) for s in (1.5, -0.5, 1.5, -0.5))
+    update = jax.jit(model.update)
+    for expert, policy, like_expert, like_policy in (
+        (there, here, like_there, like_here),
+        (here, there, like_here, like_there),  # so that no model wins that has not learned
+    ):
+        begun = model.init(jax.random.key(1), demos_of(expert))
+        state, _ = update(jax.random.key(0), begun, CONTEXT, demos_of(expert), policy)
         high, low = (model.reward(state, (), CONTEXT, steps)[1] for steps in (like_expert, like_policy))
-        return area_under_curve(high, low)
-
-    assert separation(state) > 0.9 > separation(begun)
+        assert area_under_curve(high, low) > 0.9

@@ -6,11 +6,13 @@ D_ψ(x, ε, t) = exp(−e_t) ∈ (0, 1]. Unlike a plain diffusion model, this on
 
 Signs: D is the probability that a step is the *expert's*. The model minimises E_D[−log D] + E_π[−log(1−D)], with ε and
 t drawn anew for every row. Since −log D = e_t, the first term is the usual loss of a diffusion model. The reward of a
-step is −log(1−D) ≥ 0 with D averaged over all T noise levels: higher for steps that look like the expert's, and never
-negative.
+step is −log(1−D) ≥ 0 with D averaged over noise levels: higher for steps that look like the expert's, and never
+negative. With ``diffail_steps=100`` an average over all levels would make runs several times as slow, so it is over
+``diffail_levels`` of them.
 
 The reward must not depend on the chunk or the device that computes it. So all rows share one ε per noise level, which
-is drawn again after every round of learning. Wang et al. draw ε for every row.
+is drawn again after every round of learning. Wang et al. draw ε for every row. The ε of each second level is minus that
+of the level before: a shared ε favours some direction of x, and its opposite takes most of that back.
 
 As in the program of Wang et al., β_t rises linearly from 1e-4 to 0.02 in T = 10 steps. They have three layers of 128
 Mish units, a small network for t, and a step size of 3e-5. Here network and step size are those of the other reward
@@ -56,7 +58,7 @@ class DiffailState(NamedTuple):
     """The diffusion model, its optimiser's state, and the noise of the reward."""
 
     learner: AdamState
-    noise: jax.Array  # (T, F) ε of every noise level
+    noise: jax.Array  # (L, F) ε of every noise level that the reward uses
 
 
 def noise_levels(steps: int) -> Levels:
@@ -65,6 +67,18 @@ def noise_levels(steps: int) -> Levels:
     waves = np.arange(steps)[:, None] * 10000.0 ** -np.linspace(0.0, 1.0, TIME_INPUTS // 2)
     time = np.concatenate([np.sin(waves), np.cos(waves)], axis=1)
     return Levels(*(jnp.asarray(x, jnp.float32) for x in (np.sqrt(kept), np.sqrt(1.0 - kept), time)))
+
+
+def spread_levels(steps: int, count: int) -> Levels:
+    """``count`` of the ``steps`` noise levels, evenly spread; all of them if ``count`` is not smaller."""
+    count = min(steps, count)
+    return jax.tree.map(lambda x: x[(2 * np.arange(count) + 1) * steps // (2 * count)], noise_levels(steps))
+
+
+def draw_noise(key: jax.Array, shape: tuple[int, int]) -> jax.Array:
+    """Standard normal ε (L, F), in pairs of opposite sign."""
+    half = jax.random.normal(key, (-(-shape[0] // 2), shape[1]))
+    return jnp.stack([half, -half], axis=1).reshape(-1, shape[1])[: shape[0]]
 
 
 def errors(params: Params, x: jax.Array, noise: jax.Array, level: Levels) -> jax.Array:
@@ -118,7 +132,7 @@ def cross_entropy(expert_error: jax.Array, policy_error: jax.Array, how: str) ->
 
 
 def rewards_of(params: Params, noise: jax.Array, levels: Levels, x: jax.Array, how: str) -> jax.Array:
-    """−log(1−D) ≥ 0 (…,) of features (…, F), D averaged over the T levels, with ``noise`` (T, F) for all rows.
+    """−log(1−D) ≥ 0 (…,) of features (…, F), D averaged over ``levels`` (L), with ``noise`` (L, F) for all rows.
 
     ``how`` "row": D = exp(−mean over elements of the error); "element": D = mean over elements of exp(−error).
     """
@@ -135,7 +149,7 @@ def rewards_of(params: Params, noise: jax.Array, levels: Levels, x: jax.Array, h
 def diffail(config: Config, widths: Inputs) -> InputModel:
     """The reward −log(1−D(s, a, δ)) ≥ 0 with D = exp(−diffusion loss)."""
     size = widths.obs + widths.action + widths.proxy
-    levels = noise_levels(config.reward.diffail_steps)
+    levels = spread_levels(config.reward.diffail_steps, config.reward.diffail_levels)
 
     def by_features(params: Params, key: jax.Array, expert: Inputs, policy: Inputs) -> tuple[jax.Array, Info]:
         return loss(params, features(expert), features(policy), key, config)
@@ -143,7 +157,7 @@ def diffail(config: Config, widths: Inputs) -> InputModel:
     begin, learn = by_adam(config, by_features)
 
     def draw(key: jax.Array) -> jax.Array:
-        return jax.random.normal(key, (config.reward.diffail_steps, size))
+        return draw_noise(key, (len(levels.signal), size))
 
     def init(key: jax.Array, expert: Inputs) -> DiffailState:
         network_key, noise_key = jax.random.split(key)
