@@ -360,9 +360,18 @@ RELEASED_BY_HAND = {
     "bonus_q": 2.0,
     "expert_alignment": "shifted",
     "expert_obs": "raw",
+    "expert_batches": "first",
     "penalty_mixing": "element",
     "vail_beta": "fixed",
+    "vail_encoder": "squashed",
+    "vail_visits": True,
     "pwil_coupling": "step",
+    "pwil_alpha": 1.0,
+    "pwil_beta": 1.0,
+    "diffail_steps": 100,
+    "diffail_penalty": 10.0,
+    "diffail_loss": "logit",
+    "diffail_reward": "element",
 }
 
 

@@ -24,11 +24,20 @@ RELEASED: dict[str, Any] = {
     # What reward models learn, and from what
     "expert_alignment": "shifted",
     "expert_obs": "raw",
+    "expert_batches": "first",
     "reward_schedule": "update",
     "reward_steps": 1,
     "penalty_mixing": "element",
     "vail_beta": "fixed",
+    "vail_encoder": "squashed",
+    "vail_visits": True,
     "pwil_coupling": "step",
+    "pwil_alpha": 1.0,
+    "pwil_beta": 1.0,
+    "diffail_steps": 100,
+    "diffail_penalty": 10.0,
+    "diffail_loss": "logit",
+    "diffail_reward": "element",
 }
 
 # Imitation that never reads the true reward (ours).

@@ -96,6 +96,14 @@ BEFORE = {
     "copies_scaled": "each",
     "reward_schedule": "iteration",
     "replay_share": 0.0,
+    "expert_batches": "random",
+    "vail_encoder": "linear",
+    "vail_visits": False,
+    "diffail_steps": 10,  # there was no DiffAIL
+    "diffail_levels": 10,
+    "diffail_penalty": 0.1,
+    "diffail_loss": "probability",
+    "diffail_reward": "row",
 }
 
 OLD_VALUES = {("bonus_scope", "window"): "rollout"}  # values that earlier versions wrote into ``config.json``

@@ -43,7 +43,9 @@ STUDIES: dict[str, tuple[str, ...]] = {
     "main": MAIN,  # Figs. 5, 6
     "vail": ("true", "vail", "mconbo-vail"),  # Fig. 8
     "baselines": (*MAIN, "vail", "mconbo-vail", "airl", "giril", "pwil", "maxent"),  # Table 1
-    "every-base": tuple(f"{p}{b}" for b in ("airl", "giril", "pwil", "maxent") for p in ("", "mconbo-")),  # Q4
+    "every-base": tuple(
+        f"{p}{b}" for b in ("airl", "giril", "pwil", "maxent", "diffail") for p in ("", "mconbo-")
+    ),  # Q4
     "parts": ("gail", "mcond-gail", "mbo-gail", "mconbo-gail"),  # Figs. 7, 11, Table 9
     "p-and-q": (  # Fig. 10
         *(name_of("mconbo-gail", bonus_p=p, bonus_q=q) for p in (0.0, 0.5, 1.0) for q in (0.0, 0.5, 1.0)),
@@ -80,12 +82,21 @@ STUDIES: dict[str, tuple[str, ...]] = {
         "mconbo-gail+bonus_p=0.0+bonus_q=2.0",
         "mconbo-gail+expert_alignment=shifted",
         "mconbo-gail+expert_obs=raw",
+        "mconbo-gail+expert_batches=first",
         "mconbo-gail+penalty_mixing=element",
         "mconbo-gail+gradient_penalty=0.0",  # the other way round: the program has one, the paper mentions none
         "mconbo-vail",
         "mconbo-vail+vail_beta=fixed",
+        "mconbo-vail+vail_encoder=squashed",
+        "mconbo-vail+vail_visits=True",
         "mconbo-pwil",
         "mconbo-pwil+pwil_coupling=step",
+        "mconbo-pwil+pwil_alpha=1.0+pwil_beta=1.0",
+        "mconbo-diffail",
+        "mconbo-diffail+diffail_steps=100",
+        "mconbo-diffail+diffail_penalty=10.0",
+        "mconbo-diffail+diffail_loss=logit",
+        "mconbo-diffail+diffail_reward=element",
     ),
 }
 assert all(any(f"+{name}=" in e for e in STUDIES["released"]) for name in PROTOCOLS["released"])
