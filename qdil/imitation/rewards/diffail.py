@@ -1,4 +1,4 @@
-"""DiffAIL: GAIL whose discriminator is a diffusion model's loss, D = exp(−loss).
+"""DiffAIL: GAIL whose discriminator is a diffusion model's loss, D = exp(−loss). A base of the paper's later version.
 
 A diffusion model learns to find the noise ε in a noisy row x_t = √ᾱ_t x + √(1−ᾱ_t) ε of x = (s, a, δ). Its error
 e_t = mean over elements of (ε − ε_ψ(x_t, t))² is small where x resembles the rows that it knows, so

@@ -1,4 +1,4 @@
-"""Novelty search with local competition (Lehman & Stanley, 2011), on pyribs' archive and ranker.
+"""Novelty search with local competition (section 2.1; Lehman & Stanley, 2011), on pyribs' archive and ranker.
 
 Novelty is the mean distance of a solution's measures from its nearest neighbours in an archive without cells. Local
 competition is the number of those neighbours whose objective is lower. The ranker sorts a generation by both, as
