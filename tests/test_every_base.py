@@ -37,6 +37,21 @@ def test_a_base_trains(name):
         assert not np.allclose(elites["fitness"], elites["true_return"])
 
 
+@pytest.mark.compiles
+@pytest.mark.parametrize("changes", [{"bonus_scope": "step"}, {"vail_visits": True}])
+def test_visits_are_counted_in_every_training_step_of_a_run(changes):
+    config = config_of("mconbo-vail", iterations=1, reward_steps=2, vail_latent=8, **changes)
+    search = ppga.begin(config, demonstrations(count=1))
+    search, _, _ = ppga.warm_up(search, 2)
+    assert search.state.memory.visits.sum() == 2 * config.ppo.rollout_length * config.ppo.num_envs
+    search, info = ppga.iteration(search)
+    visits = np.asarray(search.state.memory.visits)
+    assert visits.shape == (config.ppo.num_envs, 4) and info.rolled_back == 0
+    updates = 2 + config.ppga.gradient_updates + config.ppga.walk_updates + 1  # and the rollout that VAIL learns from
+    assert (visits.sum(axis=1) == updates * config.ppo.rollout_length).all()
+    assert (visits.sum(axis=0) > 0).sum() > 1  # the dials' contacts vary
+
+
 @pytest.mark.parametrize("name", method_names())
 def test_a_methods_name_says_what_it_does(name):
     """Prefixes and suffix, one by one: what the reward model sees, and whether the bonus is added."""
