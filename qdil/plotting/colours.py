@@ -40,8 +40,8 @@ METHOD_COLOURS = {
     "mconbo-pwil": "#332288",
     "maxent": "#bbbbbb",
     "mconbo-maxent": "#4d4d4d",
-    "diffail": "#c49a6c",
-    "mconbo-diffail": "#6b3a0a",
+    "diffail": "#87d2ff",
+    "mconbo-diffail": "#8700f0",
 }
 OTHER_COLOURS = (PINK, "#882255", GREY, "#332288", "#117733")  # of names that are no methods, and of new bases
 MARKERS = {"gail": "o", "vail": "s", "airl": "^", "giril": "v", "pwil": "D", "maxent": "P", "diffail": "p", "zero": "X"}
