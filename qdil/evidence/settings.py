@@ -1,8 +1,8 @@
-"""Tables of settings: the value in a run, the value at the paper's scale, and where that is from."""
+"""Tables of settings: values in a run, at the paper's scale and by protocol, and where they are from."""
 
 import pandas as pd
 
-from qdil.config import Config, descriptions, make_config, value_of
+from qdil.config import PROTOCOLS, Config, descriptions, make_config, value_of
 from qdil.errors import ConfigError
 
 
@@ -15,3 +15,13 @@ def table(names: list[str], config: Config) -> pd.DataFrame:
     rows = {name: [str(value_of(config, name)), str(value_of(full, name)), known[name]] for name in names}
     columns = [f"{config.budget} budget", "full budget", "what it is (and where the full budget's value is from)"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("setting")
+
+
+def protocols(env: str, method: str, budget: str) -> pd.DataFrame:
+    """A row per setting in which protocols differ: its value in each of them, and what it is."""
+    names = dict.fromkeys(name for changes in PROTOCOLS.values() for name in changes)
+    configs = {protocol: make_config(env, method, budget, protocol=protocol) for protocol in PROTOCOLS}
+    rows = {
+        name: [*(str(value_of(config, name)) for config in configs.values()), descriptions()[name]] for name in names
+    }
+    return pd.DataFrame.from_dict(rows, orient="index", columns=[*configs, "what it is"]).rename_axis("setting")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from qdil.config import descriptions, flat, make_config
+from qdil.config import PROTOCOLS, descriptions, flat, make_config
 from qdil.errors import ConfigError
 from qdil.evidence import settings
 
@@ -23,3 +23,11 @@ def test_every_setting_that_can_be_changed_has_a_row_with_a_description():
     table = settings.table(list(descriptions()), config)
     assert set(table.index) == set(flat(config)) - {"env", "method", "budget", "seed"}
     assert table.iloc[:, 2].str.len().min() > 5
+
+
+def test_the_table_of_protocols_shows_every_choice_of_each():
+    table = settings.protocols("walker2d", "mconbo-gail", "laptop")
+    for protocol, changes in PROTOCOLS.items():
+        for name, value in changes.items():
+            assert table.loc[name, protocol] == str(value) != table.loc[name, "paper"]
+    assert (table["paper"] != table["released"]).sum() == len(PROTOCOLS["released"])
