@@ -20,7 +20,7 @@ from qdil.robots.environment import Environment
 FIELDS = ("obs", "action", "next_obs", "proxy")  # columns of a file that every reward model's ``Demonstrations`` has
 MATCHED = {  # settings that a file records, so that a run learns from what its configuration names
     "demo_episodes": "{found} demonstrations, not {wanted}",
-    "demo_attempts": "episodes chosen from {found} of each demonstrator, not from {wanted}",
+    "demo_attempts": "episodes chosen from {found} of each demonstrator, not {wanted}",
     "expert_seed": "demonstrations of the expert of seed {found}, not {wanted}",
 }
 

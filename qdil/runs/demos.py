@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from qdil.config import Config, from_json
+from qdil.config import Config, Demos, from_json
 from qdil.errors import ConfigError
 from qdil.files import sha256
 from qdil.imitation import demos as demonstrations
@@ -14,7 +14,7 @@ from qdil.imitation.recording import record
 from qdil.imitation.selection import fresh, select
 from qdil.rl import networks
 from qdil.robots import register
-from qdil.runs.folder import ATTEMPTS, RESULTS, demos_name, folder_of, read_archive, read_config
+from qdil.runs.folder import RESULTS, demos_name, folder_of, read_archive, read_config
 
 
 def make_demos(
@@ -24,7 +24,7 @@ def make_demos(
     seed: int,
     expert: Path | None = None,
     out: Path | None = None,
-    attempts: int = ATTEMPTS,
+    attempts: int = Demos.demo_attempts,
 ) -> Path:
     """Choose ``episodes`` elites of a finished expert run, record an episode of each, and return the file's path.
 
@@ -45,7 +45,7 @@ def make_demos(
     except ValueError as error:
         raise ConfigError(f"{expert}: {error}") from None
     recorded = _record(config, elites, rows, attempts) | _origin(config, expert)
-    path = out or RESULTS / budget / env / demos_name(episodes, config.seed, attempts)
+    path = out or RESULTS / budget / env / demos_name(episodes, config.seed)
     demonstrations.save(path, recorded, register.make(config.env, config.simulation.backend))
     return path
 

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from qdil.config import Config, Demos, with_current_names
+from qdil.config import Config, with_current_names
 from qdil.errors import ConfigError
 from qdil.files import read_json, read_npz
 
 RESULTS = Path("results")
-ATTEMPTS = Demos().demo_attempts  # of every budget; another number is in the name of a demonstrations file
 
 
 def folder_of(experiment: str, env: str, budget: str, seed: int, root: Path = RESULTS) -> Path:
@@ -31,9 +30,9 @@ def folder_of(experiment: str, env: str, budget: str, seed: int, root: Path = RE
     return root / budget / env / experiment / f"seed-{seed}"
 
 
-def demos_name(episodes: int, expert_seed: int, attempts: int = ATTEMPTS) -> str:
-    """The name of the file of ``episodes`` demonstrations of one expert, each the best of ``attempts`` episodes."""
-    return f"demos-{episodes}{'' if attempts == ATTEMPTS else f'-of-{attempts}'}-seed-{expert_seed}.npz"
+def demos_name(episodes: int, expert_seed: int) -> str:
+    """The name of the file of ``episodes`` demonstrations of the expert with this seed."""
+    return f"demos-{episodes}-seed-{expert_seed}.npz"
 
 
 def demos_of(config: Config, root: Path = RESULTS) -> Path:
@@ -41,9 +40,7 @@ def demos_of(config: Config, root: Path = RESULTS) -> Path:
 
     With the setting ``expert_seed``, all seeds learn from one expert, as in the paper.
     """
-    demos = config.demos
-    name = demos_name(demos.demo_episodes, expert_seed_of(config), demos.demo_attempts)
-    return root / config.budget / config.env / name
+    return root / config.budget / config.env / demos_name(config.demos.demo_episodes, expert_seed_of(config))
 
 
 def expert_seed_of(config: Config) -> int:
