@@ -129,7 +129,7 @@ def _demos(args: argparse.Namespace) -> int:
 
     path = make_demos(args.env, args.budget, episodes, args.seed, args.expert, args.out, attempts)
     print(report(read_npz(path)))
-    print(f"Wrote {episodes} demonstrations to {path}.")
+    print(f"Wrote {episodes} demonstration{'s' if episodes > 1 else ''} to {path}.")
     return 0
 
 

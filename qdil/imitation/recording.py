@@ -9,7 +9,7 @@ from qdil.imitation.selection import best_first
 from qdil.rl import networks
 from qdil.rl.rollout import rollout, start
 from qdil.robots.environment import Environment
-from qdil.types import Normaliser, Params
+from qdil.types import Normaliser, Params, Transitions
 
 Episode = dict[str, np.ndarray]  # a column (T, …) per name, a row per step
 
@@ -60,16 +60,19 @@ def _episodes(
     """``attempts`` whole episodes of each elite, simulated side by side."""
     count = len(elites["solution"])
     solution, mean, std = (np.repeat(elites[name], attempts, axis=0) for name in ("solution", "obs_mean", "obs_std"))
+
+    # Policies are arguments, not constants of the program, so that one compiled program serves every expert.
+    @jax.jit
+    def run(policies: Params, normaliser: Normaliser, keys: jax.Array) -> Transitions:
+        def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+            spread = jnp.exp(policies["log_std"]) if sample_actions else 0.0
+            return jax.vmap(networks.policy_mean)(policies, normaliser, obs) + noise * spread, jnp.zeros(len(noise))
+
+        return rollout(env, act, start(env, keys, episode_length), episode_length, episode_length)[1]
+
     policies = jax.vmap(lambda t: networks.unflatten(t, template))(jnp.asarray(solution))
     normaliser = Normaliser(jnp.asarray(mean), jnp.asarray(std))
-
-    def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        spread = jnp.exp(policies["log_std"]) if sample_actions else 0.0
-        return jax.vmap(networks.policy_mean)(policies, normaliser, obs) + noise * spread, jnp.zeros(len(noise))
-
-    keys = jax.random.split(key, count * attempts)
-    run = jax.jit(lambda k: rollout(env, act, start(env, k, episode_length), episode_length, episode_length)[1])
-    steps = jax.tree.map(np.asarray, run(keys))
+    steps = jax.tree.map(np.asarray, run(policies, normaliser, jax.random.split(key, count * attempts)))
     lengths = np.argmax(steps.ended, axis=0) + 1
     episodes = [
         {name: getattr(steps, name)[:n, i] for name in (*FIELDS, "reward", "terminated", "truncated")}
