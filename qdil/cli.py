@@ -53,7 +53,8 @@ def _add_train(parser: Parser) -> None:
     _add_budget(parser)
     _add_seed(parser)
     where = "results/BUDGET/ENV"
-    parser.add_argument("--demos", type=Path, metavar="FILE", help=f"demonstrations (default: {where}/demos-N.npz)")
+    demos = f"demonstrations (default: {where}/demos-N-seed-S.npz, of the expert with the run's own seed)"
+    parser.add_argument("--demos", type=Path, metavar="FILE", help=demos)
     change = "change a setting (repeatable)"
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="settings", help=change)
     folder = f"run folder (default: {where}/METHOD/seed-N, with what --set changes in the name)"
@@ -74,9 +75,10 @@ def _train(args: argparse.Namespace) -> int:
         print(plan.report(config, plan.plan(config)))
         return 0
     from qdil.devices import hosts
+    from qdil.imitation.demo_report import fall_warning_of
     from qdil.runs.folder import folder_of
     from qdil.runs.progress import Progress
-    from qdil.runs.train import SAVE_SECONDS, train
+    from qdil.runs.train import SAVE_SECONDS, learns_from, train
 
     hosts.join()
     experiment = name_of(args.method, args.env, args.budget, **changes)
@@ -85,6 +87,9 @@ def _train(args: argparse.Namespace) -> int:
     if not hosts.is_first():
         train(config, folder, args.demos, save_seconds=save_seconds)
         return 0
+    demos = learns_from(config, args.demos)
+    if demos and (warning := fall_warning_of(demos)):
+        print(warning, file=sys.stderr)
     progress = Progress(config)
     try:
         trained = train(config, folder, args.demos, progress, save_seconds)
@@ -98,24 +103,33 @@ def _train(args: argparse.Namespace) -> int:
 
 
 def _add_demos(parser: Parser) -> None:
-    parser.description = "Choose diverse elites of the expert ('--method true') and record an episode of each."
+    parser.description = (
+        "Choose diverse elites of the expert ('--method true') by fresh episodes, and record an episode of each: of "
+        "several, the one that is nearest to the elite's measures and does not fall unless all do. Prints a table."
+    )
     _add_robot(parser)
     _add_budget(parser)
-    _add_seed(parser)
+    parser.add_argument("--seed", type=int, default=1, help="the expert's seed (default: 1)")
     parser.add_argument("--episodes", type=int, help="demonstrations to record (default: 4; smoke: 1)")
+    parser.add_argument("--attempts", type=int, help="episodes simulated for each demonstration (default: 16)")
     parser.add_argument("--expert", type=Path, help="the expert's run folder (default: that of --budget and --seed)")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="default: results/BUDGET/ENV/demos-N.npz")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="default: results/BUDGET/ENV/demos-N-seed-S.npz")
 
 
 def _demos(args: argparse.Namespace) -> int:
     config = make_config(args.env, "true", args.budget, args.seed)
     episodes = config.demos.demo_episodes if args.episodes is None else args.episodes
-    if episodes < 1:
-        raise ConfigError(f"--episodes {episodes} must be at least 1.")
+    attempts = config.demos.demo_attempts if args.attempts is None else args.attempts
+    for option, count in (("episodes", episodes), ("attempts", attempts)):
+        if count < 1:
+            raise ConfigError(f"--{option} {count} must be at least 1.")
+    from qdil.files import read_npz
+    from qdil.imitation.demo_report import report
     from qdil.runs.demos import make_demos
 
-    path = make_demos(args.env, args.budget, episodes, args.seed, args.expert, args.out)
-    print(f"Wrote {episodes} demonstrations to {path}.")
+    path = make_demos(args.env, args.budget, episodes, args.seed, args.expert, args.out, attempts)
+    print(report(read_npz(path)))
+    print(f"Wrote {episodes} demonstration{'s' if episodes > 1 else ''} to {path}.")
     return 0
 
 

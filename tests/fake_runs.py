@@ -33,8 +33,9 @@ def write_archive(folder: Path, index: list[int], returns: list[float]) -> None:
     """Replace a run's archive of 2 × 2 cells."""
     values = np.array(returns)
     measures = (np.array([[i // 2, i % 2] for i in index]) + 0.5) / 2
+    again = {"rescored_return": values - 1, "rescored_measures": measures}
     write_npz(folder / "archive.npz", index=np.array(index), measures=measures, true_return=values, fitness=values,
-              length=values, rescored_return=values - 1, cells=np.array([2, 2]))  # fmt: skip
+              length=values, cells=np.array([2, 2]), **again)  # fmt: skip
 
 
 def write_arms(root: Path, env: str, metric: str, arms: dict[str, list[float]], budget: str = "laptop") -> None:

@@ -45,6 +45,7 @@ BROKEN = "broken_module_of_a_user"
         (["demos", "--env", "crab"], "unknown robot 'crab'"),
         (["demos", "--env", "walker2d", "--budget", "huge"], "'huge'"),
         (["demos", "--env", "walker2d", "--episodes", "0"], "--episodes 0"),
+        (["demos", "--env", "walker2d", "--attempts", "0"], "--attempts 0"),
         (["study", "fame", "--env", "walker2d"], "unknown study 'fame'"),
         (["study", "main", "--env", "crab"], "unknown robot 'crab'"),
     ],

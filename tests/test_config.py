@@ -30,6 +30,7 @@ from qdil.config.text import BEFORE
 from qdil.errors import ConfigError
 from qdil.methods import method_names, parse_method
 from qdil.robots.register import PAPER_ROBOTS
+from qdil.runs.folder import expert_seed_of
 
 PAPER = {
     "actor_hidden": (128, 128),
@@ -285,6 +286,18 @@ def test_old_names_are_read():
     assert config.evaluation.eval_chunks_per_sync == Config.evaluation.eval_chunks_per_sync
 
 
+@pytest.mark.parametrize(("seed", "expert_seed"), [(1, 0), (2, 1), (7, 1)])
+def test_runs_of_earlier_versions_learned_from_the_expert_of_seed_1(seed, expert_seed):
+    """For the run of seed 1 that is the expert of its own seed, which is written as 0."""
+    content = to_json(make_config("walker2d", "gail", "laptop", seed))
+    del content["expert_seed"], content["demo_attempts"]
+    config = from_json(content)
+    assert (config.demos.expert_seed, config.demos.demo_attempts) == (expert_seed, 1)
+    assert expert_seed_of(config) == 1
+    written = from_json(content | {"expert_seed": 5, "demo_attempts": 3})
+    assert (written.demos.expert_seed, written.demos.demo_attempts) == (5, 3)
+
+
 RUNS = sorted(Path(__file__).parent.parent.glob("results/*/*/*/seed-*/config.json"))
 
 
@@ -320,10 +333,10 @@ def test_a_config_that_cannot_be_is_refused(changes, named):
 
 
 @pytest.mark.parametrize("name", GROUP_OF)
-def test_only_settings_of_speed_may_be_missing(name):
+def test_only_settings_of_speed_and_what_earlier_versions_did_may_be_missing(name):
     content = to_json(make_config("walker2d", "gail", "smoke"))
     del content[name]
-    if name in SPEED_ONLY or name in BEFORE:
+    if name in SPEED_ONLY or name in BEFORE or name == "expert_seed":
         from_json(content)
     else:
         assert f"{name} (missing)" in refused(from_json, content)

@@ -9,8 +9,9 @@ from dial import LENGTH, config_of, demonstrations, dial
 from qdil import ppga
 from qdil.config import change
 from qdil.engine.engine import Engine
-from qdil.imitation import demos
+from qdil.imitation.recording import record
 from qdil.imitation.reward_model import Demonstrations
+from qdil.imitation.selection import select
 from qdil.qd import archive
 from qdil.rl import networks
 
@@ -72,9 +73,9 @@ def test_with_the_bonus_the_search_reaches_cells_that_it_does_not_reach_without(
 def test_an_imitator_of_the_expert_comes_near_it(expert):
     search = expert[0]
     elites = archive.elite_arrays(search.archives)
-    rows = demos.select(elites["true_return"], elites["measures"], CELLS, 4)
-    chosen = {name: elites[name][rows] for name in ("solution", "obs_mean", "obs_std")}
-    recorded = demos.record(dial(), search.engine.search.template, chosen, jax.random.key(0), LENGTH, False)
+    rows = select(elites["true_return"], elites["measures"], CELLS, 4)
+    chosen = {name: elites[name][rows] for name in ("solution", "obs_mean", "obs_std", "measures")}
+    recorded = record(dial(), search.engine.search.template, chosen, jax.random.key(0), LENGTH, False)
     shown = Demonstrations(*(jnp.asarray(recorded[name]) for name in Demonstrations._fields))
     score = {
         m: np.median([trained(config_of(m, seed=seed), 60, shown)[1][-1, 1] for seed in (1, 2, 3)])

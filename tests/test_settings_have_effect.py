@@ -33,6 +33,7 @@ OTHERS = {
     "giril_steps": 30,
     "eval_batch_size": 4,
     "diffail_levels": 3,
+    "expert_seed": 3,
 }
 SMALL = {"iterations": 3, "giril_steps": 20, "eval_chunk_steps": 5}
 METHODS = {
@@ -77,11 +78,12 @@ def texts(config):
 
 @pytest.fixture(scope="module")
 def demos_file(tmp_path_factory):
-    """A file of one demonstration on two dials."""
+    """A file of one demonstration on two dials, of the expert of seed 1, and with the usual number of attempts."""
     steps = demonstrations(count=1)
     path = tmp_path_factory.mktemp("demos") / "demos-1.npz"
     rows = {name: np.asarray(values) for name, values in steps._asdict().items()}
-    demonstrations_file.save(path, {**rows, "episode": np.zeros(len(steps.obs), int)}, dial())
+    origin = {"expert_seed": np.array(1), "demo_attempts": np.array(config_of().demos.demo_attempts)}
+    demonstrations_file.save(path, {**rows, **origin, "episode": np.zeros(len(steps.obs), int)}, dial())
     return path
 
 

@@ -139,6 +139,12 @@ class Demos:
     """The demonstrations that imitation learns from."""
 
     demo_episodes: AtLeastOne = setting(4, "demonstrations (paper, section 5.2)")
+    demo_attempts: AtLeastOne = setting(
+        16, "episodes simulated per demonstrator, of which the one nearest to its measures is recorded (ours)"
+    )
+    expert_seed: Count = setting(
+        0, "seed of the expert that demonstrates; 0: the run's own seed (ours; in the paper, all runs have one expert)"
+    )
     expert_alignment: Literal["aligned", "shifted"] = setting(
         "aligned", "aligned: (s_t, a_t); shifted: (s_{t+1+j}, a_t) with j = 0-19 per episode (released program)"
     )

@@ -104,6 +104,7 @@ BEFORE = {
     "diffail_penalty": 0.1,
     "diffail_loss": "probability",
     "diffail_reward": "row",
+    "demo_attempts": 1,
 }
 
 OLD_VALUES = {("bonus_scope", "window"): "rollout"}  # values that earlier versions wrote into ``config.json``
@@ -112,7 +113,16 @@ OLD_VALUES = {("bonus_scope", "window"): "rollout"}  # values that earlier versi
 def with_current_names(content: dict[str, Any]) -> dict[str, Any]:
     """The content of any version's ``config.json``, with the present names and values."""
     renamed = {OLD_NAMES.get(name, name): value for name, value in content.items()}
-    return {n: OLD_VALUES.get((n, v), v) if isinstance(v, str) else v for n, v in renamed.items()}
+    renamed = {n: OLD_VALUES.get((n, v), v) if isinstance(v, str) else v for n, v in renamed.items()}
+    return {"expert_seed": _earlier_expert(renamed)} | renamed
+
+
+def _earlier_expert(content: dict[str, Any]) -> int:
+    """The ``expert_seed`` of a run of a version without this setting: all of them learned from the expert of seed 1.
+
+    For a run of seed 1 that is the expert of its own seed, which is written as 0.
+    """
+    return 0 if content.get("seed") == 1 else 1
 
 
 def to_json(config: Config) -> dict[str, Any]:

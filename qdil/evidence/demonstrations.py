@@ -9,34 +9,33 @@ import pandas as pd
 from qdil.config import make_config
 from qdil.errors import ConfigError
 from qdil.robots import register
-from qdil.runs.experiments import EXPERT_SEED
-from qdil.runs.folder import RESULTS, demos_path, folder_of
+from qdil.runs.folder import RESULTS, demos_of, folder_of
 
 Demos = dict[str, np.ndarray]  # a demonstrations file's columns: some have a row per step, some a row per episode
 
 
-def of_robots(budget: str, root: Path = RESULTS) -> dict[str, Demos]:
-    """The demonstrations of the budget's usual number, by robot; a robot without a file is left out."""
-    paths = {
-        env: demos_path(budget, env, make_config(env, "true", budget).demos.demo_episodes, root)
-        for env in sorted(register.robot_names())
-    }
+def of_robots(budget: str, seed: int = 1, root: Path = RESULTS) -> dict[str, Demos]:
+    """The demonstrations of the experts with this seed, by robot, in the budget's usual number.
+
+    A robot without a file is left out.
+    """
+    paths = {env: demos_of(make_config(env, "true", budget, seed), root) for env in sorted(register.robot_names())}
     return {env: read(path) for env, path in paths.items() if path.is_file()}
 
 
-def record_missing(env: str, budget: str, root: Path = RESULTS) -> str:
-    """Record a robot's demonstrations if it has none and its expert's policies are on this machine.
+def record_missing(env: str, budget: str, seed: int = 1, root: Path = RESULTS) -> str:
+    """Record the demonstrations of the expert with this seed, if there are none and its policies are on this machine.
 
     Returns a sentence about the outcome. Recording imports JAX.
     """
-    episodes = make_config(env, "true", budget, EXPERT_SEED).demos.demo_episodes
-    path = demos_path(budget, env, episodes, root)
+    config = make_config(env, "true", budget, seed)
+    path = demos_of(config, root)
     if path.is_file():
         return f"loaded, they were recorded earlier: {path}"
     from qdil.runs.demos import make_demos
 
     try:
-        make_demos(env, budget, episodes, EXPERT_SEED, folder_of("true", env, budget, EXPERT_SEED, root), path)
+        make_demos(env, budget, config.demos.demo_episodes, seed, folder_of("true", env, budget, seed, root), path)
     except ConfigError as error:
         return f"none recorded: {error}"
     return f"recorded just now: {path}"
@@ -49,15 +48,21 @@ def read(path: Path) -> Demos:
 
 
 def episodes(demos: Demos, robot: str) -> pd.DataFrame:
-    """A row per demonstration: steps, return and measures of the recorded episode, and of the elite in the archive."""
+    """A row per demonstration: steps, return and measures of the recorded episode, and those of the demonstrator.
+
+    The demonstrator's are means over fresh episodes, by which it was selected (in files of earlier versions: those that
+    won its cell). ``falls`` counts the simulated episodes that ended in a fall; such files lack it.
+    """
     elite, recorded = (demos[name].astype(float) for name in ("elite_measures", "episode_measures"))
     table = {
         "steps (rows)": np.bincount(demos["episode"]),
         "return": demos["episode_return"].astype(float),
-        "return in the archive": demos["elite_return"].astype(float),
+        "return, as selected": demos["elite_return"].astype(float),
     }
     for j, foot in enumerate(register.find(robot).measure_names):
-        table[f"{foot} down"], table[f"{foot} down in the archive"] = recorded[:, j], elite[:, j]
+        table[f"{foot} down"], table[f"{foot} down, as selected"] = recorded[:, j], elite[:, j]
+    if "falls" in demos:
+        table[f"falls of {demos['demo_attempts']}"] = demos["falls"]
     return pd.DataFrame(table, index=pd.RangeIndex(1, len(recorded) + 1, name="demonstration"))
 
 

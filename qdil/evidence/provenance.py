@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from qdil.config import SPEED_ONLY, to_json
+from qdil.config import GROUP_OF, SPEED_ONLY, to_json
 from qdil.evidence import tables
 from qdil.files import read_json
 from qdil.lab.lemma import results
+from qdil.methods import parse_method
 from qdil.runs.folder import RESULTS, read_config
 from qdil.runs.studies import config_of
 
@@ -20,18 +21,26 @@ class Origin(NamedTuple):
     seed: int
     commit: str  # its first seven digits, and whether the tree differed from it
     other_settings: tuple[str, ...]  # settings that would have another value if it were trained today
-    demonstrations: tuple[int, str] | None  # how many, and the hash of their file; None if it read none
+    demonstrations: tuple[int, int, str] | None  # how many, their expert's seed, and their file's hash; None: none read
 
 
 def origin(experiment: str, folder: Path, env: str, budget: str) -> Origin:
-    """Read a run's manifest and settings. Settings that only one version of the library has are left out."""
+    """Read a run's manifest and settings.
+
+    Settings that only one version of the library has are left out, and those of demonstrations for a method that does
+    not imitate.
+    """
     seed = tables.seed_of(folder)
     manifest = read_json(folder / "manifest.json")
     config, trained = config_of(experiment, env, budget, seed), read_config(folder)
     today = to_json(config)
-    other = (n for n in trained if n in today and trained[n] != today[n] and n not in SPEED_ONLY)
+    silent = set(SPEED_ONLY)
+    if not parse_method(config.method).base.imitates:
+        silent |= {name for name, group in GROUP_OF.items() if group == "demos"}
+    other = (n for n in trained if n in today and trained[n] != today[n] and n not in silent)
     file_hash = manifest.get("demonstrations_sha256")
-    demonstrations = (config.demos.demo_episodes, file_hash) if file_hash else None
+    expert_seed = trained["expert_seed"] or seed
+    demonstrations = (config.demos.demo_episodes, expert_seed, file_hash) if file_hash else None
     return Origin(experiment, seed, _short(manifest), tuple(other), demonstrations)
 
 
@@ -72,7 +81,8 @@ def _apart(origins: Sequence[Origin]) -> list[str]:
         where = [f"`{one.experiment}` {one.seed}" for one in origins if name in one.other_settings]
         found.append(f"**{name} was not today's** in {', '.join(where)}.")
     files = {one.demonstrations for one in origins if one.demonstrations}
-    for number, count in Counter(number for number, _ in files).items():
+    for (number, expert_seed), count in Counter(file[:2] for file in files).items():
         if count > 1:
-            found.append(f"**These runs learned from {count} different files of {number} demonstrations.**")
+            what = f"{number} demonstrations of the expert with seed {expert_seed}"
+            found.append(f"**These runs learned from {count} different files of {what}.**")
     return found

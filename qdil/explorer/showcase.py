@@ -8,7 +8,7 @@ import numpy as np
 
 from qdil.explorer import shown as showing
 from qdil.files import sha256, write_json, write_npz
-from qdil.runs.folder import RESULTS, read_archive, read_config
+from qdil.runs.folder import RESULTS, demos_name, read_archive, read_config
 
 FOLDER = RESULTS / "showcase"
 
@@ -33,7 +33,8 @@ def keep(folder: Path, root: Path = FOLDER) -> Path:
     manifest |= {"policies": "rounded to 16 bits for the showcase", "sha256": {n: sha256(target / n) for n in files}}
     demonstrators = showing.read(folder)[0].demonstrators
     if len(demonstrators):
-        write_npz(target.parent.parent / f"demos-{config['demo_episodes']}.npz", elite_measures=demonstrators)
+        name = demos_name(config["demo_episodes"], config.get("expert_seed") or config["seed"])
+        write_npz(target.parent.parent / name, elite_measures=demonstrators)
     write_json(target / "manifest.json", manifest)
     return target
 

@@ -16,7 +16,7 @@ from qdil.imitation.demos import farthest_points, top_fifth
 from qdil.names import title
 from qdil.rl.evaluate import Policies
 from qdil.robots import brax_robots, register, shapes
-from qdil.runs.folder import read_archive, read_config
+from qdil.runs.folder import demos_name, read_archive, read_config
 
 NEEDED = ("index", "measures", "fitness", "true_return", "length", "cells")
 POLICY = ("solution", "obs_mean", "obs_std")
@@ -126,8 +126,9 @@ def _checked(shown: Shown) -> Shown:
 
 def _demonstrators(folder: Path, config: Mapping[str, Any]) -> np.ndarray:
     """Measures (d, k) of the demonstrators in the file beside the run; without one, an array without rows."""
+    name = demos_name(config.get("demo_episodes", 4), config.get("expert_seed") or config.get("seed", 1))
     for place in (folder.parent.parent, folder.parent, folder):
-        path = place / f"demos-{config.get('demo_episodes', 4)}.npz"
+        path = place / name
         if path.is_file():
             with np.load(path, allow_pickle=False) as file:
                 return file["elite_measures"] if "elite_measures" in file.files else np.zeros((0, 0))

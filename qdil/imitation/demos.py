@@ -1,11 +1,12 @@
-"""Demonstrations: recording the episodes of the chosen elites (``selection``), reading and writing the file.
+"""Demonstrations files: reading, checking and writing them; ``recording`` simulates what they hold.
 
 A "demonstrator" is an elite of the expert's archive that was chosen; a "demonstration" is one episode of it.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,48 +15,14 @@ from qdil.imitation.reward_model import Demonstrations
 from qdil.imitation.selection import farthest_points as farthest_points
 from qdil.imitation.selection import select as select
 from qdil.imitation.selection import top_fifth as top_fifth
-from qdil.rl import networks
-from qdil.rl.rollout import rollout, start
 from qdil.robots.environment import Environment
-from qdil.types import Normaliser, Params
 
 FIELDS = ("obs", "action", "next_obs", "proxy")  # columns of a file that every reward model's ``Demonstrations`` has
-
-
-def record(
-    env: Environment,
-    template: Params,
-    elites: dict[str, np.ndarray],
-    key: jax.Array,
-    episode_length: int,
-    sample_actions: bool,
-) -> dict[str, np.ndarray]:
-    """One whole episode of each of n elites, one row per step t: s_t, a_t, s_{t+1}, δ(s_t), true reward, how it ended.
-
-    ``elites`` has ``solution`` (n, P), ``obs_mean`` and ``obs_std`` (n, O); ``template`` is a tree of a policy's
-    parameters. Returns columns (N, …) by name; ``episode`` (N,) numbers the episode of each row. ``episode_return``
-    (n,) and ``episode_measures`` (n, k) are those of whole episodes.
-    """
-    policies = jax.vmap(lambda t: networks.unflatten(t, template))(jnp.asarray(elites["solution"]))
-    normaliser = Normaliser(jnp.asarray(elites["obs_mean"]), jnp.asarray(elites["obs_std"]))
-
-    def act(noise: jax.Array, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        spread = jnp.exp(policies["log_std"]) if sample_actions else 0.0
-        return jax.vmap(networks.policy_mean)(policies, normaliser, obs) + noise * spread, jnp.zeros(len(noise))
-
-    keys = jax.random.split(key, len(elites["solution"]))
-    run = jax.jit(lambda k: rollout(env, act, start(env, k, episode_length), episode_length, episode_length)[1])
-    steps = jax.tree.map(np.asarray, run(keys))
-    lengths = np.argmax(steps.ended, axis=0) + 1
-    episodes = [
-        {name: getattr(steps, name)[:n, i] for name in (*FIELDS, "reward", "terminated", "truncated")}
-        for i, n in enumerate(lengths)
-    ]
-    joined = {name: np.concatenate([e[name] for e in episodes]) for name in episodes[0]}
-    joined["episode"] = np.repeat(np.arange(len(lengths)), lengths)
-    joined["episode_return"] = np.array([e["reward"].sum() for e in episodes])
-    joined["episode_measures"] = np.array([e["proxy"].mean(axis=0) for e in episodes])
-    return joined
+MATCHED = {  # settings that a file records, so that a run learns from what its configuration names
+    "demo_episodes": "{found} demonstrations, not {wanted}",
+    "demo_attempts": "episodes chosen from {found} of each demonstrator, not {wanted}",
+    "expert_seed": "demonstrations of the expert of seed {found}, not {wanted}",
+}
 
 
 def save(path: Path, recorded: dict[str, np.ndarray], env: Environment) -> None:
@@ -70,17 +37,18 @@ def load(
     needs_actions: bool = True,
     alignment: str = "aligned",
     seed: int = 0,
-    episodes: int | None = None,
+    expected: Mapping[str, int] | None = None,
 ) -> Demonstrations:
     """Read and check a demonstrations file of ``robot`` on ``backend``.
 
     With ``needs_actions`` False, a file without an ``action`` column, or with one of width 0, is accepted.
     ``alignment`` "shifted" pairs states and actions as the authors' released program does (``shifted``), with delays
-    drawn from ``seed``. ``episodes`` is the number that the file must hold; it is not checked in a file without an
-    ``episode`` column.
+    drawn from ``seed``. ``expected``: values of the settings ``MATCHED`` that the file must have been recorded with. A
+    setting that the file does not name is not checked: files of earlier versions and of other sources name fewer.
 
     Raises ValueError in one sentence for a missing or unreadable file, for demonstrations of another robot or backend,
-    for missing columns, unequal numbers of rows, no rows, another number of episodes, or numbers that are not finite.
+    for missing columns, unequal numbers of rows, no rows, settings other than ``expected``, or numbers that are not
+    finite.
     """
     if not path.is_file():
         raise ValueError(f"no demonstrations at {path}: make them with 'qdil demos --env {robot}'.")
@@ -91,12 +59,36 @@ def load(
         )
     if needs_actions and data["action"].shape[1:] == (0,):
         raise ValueError(f"{path} has no actions: only the methods that end in -obs can learn from it.")
-    found = len(np.unique(data["episode"])) if "episode" in data else None
-    if None not in (episodes, found) and found != episodes:
-        raise ValueError(f"{path} holds {found} demonstrations, not {episodes}: add --set demo_episodes={found}.")
+    _check_settings(path, data, expected or {})
     if alignment == "shifted":
         data = shifted(data, np.random.default_rng(seed))
     return Demonstrations(*(jnp.asarray(data[name], jnp.float32) for name in FIELDS))
+
+
+def _check_settings(path: Path, data: Mapping[str, np.ndarray], expected: Mapping[str, int]) -> None:
+    """Raise ValueError if a file was recorded with other settings than ``expected``, as far as it tells."""
+    recorded = {name: int(data[name]) for name in MATCHED if name in data}
+    if "episode" in data:
+        recorded["demo_episodes"] = len(np.unique(data["episode"]))
+    for name, what in MATCHED.items():
+        found, wanted = recorded.get(name), expected.get(name)
+        if None not in (found, wanted) and found != wanted:
+            raise ValueError(f"{path} holds {what.format(found=found, wanted=wanted)}: add --set {name}={found}.")
+
+
+def expert_of(path: Path) -> dict[str, Any] | None:
+    """The expert that a file was recorded from, for manifests: its run, its seed, and the hash of its archive.
+
+    The run is named by its place under ``results``. None for a file that does not name its expert.
+    """
+    with np.load(path, allow_pickle=False) as file:
+        if "expert" not in file:
+            return None
+        return {
+            "run": str(file["expert"]),
+            "seed": int(file["expert_seed"]),
+            "archive_sha256": str(file["expert_archive_sha256"]),
+        }
 
 
 def _columns(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:

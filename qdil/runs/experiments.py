@@ -9,7 +9,6 @@ from pathlib import Path
 from qdil.runs.folder import RESULTS, folder_of, is_finished
 
 SEEDS = {"smoke": (1,), "laptop": (1, 2, 3), "desk": (1, 2, 3), "full": (1, 2, 3)}  # the paper: three
-EXPERT_SEED = 1  # one expert gives the demonstrations, as in the paper
 
 
 def finished(

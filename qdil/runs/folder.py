@@ -8,6 +8,9 @@
 | ``archive.npz`` | the filled cells at the end |
 | ``policies.npz`` | their policies (not in git) |
 | ``manifest.json`` | commit, packages, times and the hashes of the other files; written last |
+
+Demonstrations lie beside the runs of their robot, not in the folder of their expert: a run's folder is complete once
+its manifest is written, and whoever trains an expert anew keeps the demonstrations that its imitators learned from.
 """
 
 from pathlib import Path
@@ -15,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from qdil.config import with_current_names
+from qdil.config import Config, with_current_names
 from qdil.errors import ConfigError
 from qdil.files import read_json, read_npz
 
@@ -27,9 +30,22 @@ def folder_of(experiment: str, env: str, budget: str, seed: int, root: Path = RE
     return root / budget / env / experiment / f"seed-{seed}"
 
 
-def demos_path(budget: str, env: str, episodes: int, root: Path = RESULTS) -> Path:
-    """The file that ``qdil demos`` writes and that training reads, if no other is given."""
-    return root / budget / env / f"demos-{episodes}.npz"
+def demos_name(episodes: int, expert_seed: int) -> str:
+    """The name of the file of ``episodes`` demonstrations of the expert with this seed."""
+    return f"demos-{episodes}-seed-{expert_seed}.npz"
+
+
+def demos_of(config: Config, root: Path = RESULTS) -> Path:
+    """The file that a run learns from, if no other is given: demonstrations of the expert of the run's own seed.
+
+    With the setting ``expert_seed``, all seeds learn from one expert, as in the paper.
+    """
+    return root / config.budget / config.env / demos_name(config.demos.demo_episodes, expert_seed_of(config))
+
+
+def expert_seed_of(config: Config) -> int:
+    """The seed of the expert that a run learns from."""
+    return config.demos.expert_seed or config.seed
 
 
 def is_finished(folder: Path) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 
 from qdil.files import sha256, write_json
+from qdil.imitation.demos import expert_of
 from qdil.ppga import Search
 
 PACKAGES = ("jax", "jaxlib", "brax", "mujoco", "mujoco-mjx", "ribs", "optax", "numpy")
@@ -32,7 +33,8 @@ def write(
 
     ``processes``: ``this_process`` of each process that worked on the run, in order. The manifest's ``start`` is the
     first one's, ``commit`` the last one's; ``resumed`` lists the starts of the others, and ``commits`` all commits if
-    they differ. ``seconds``: wall time of all processes together.
+    they differ. ``seconds``: wall time of all processes together. ``demonstrations_expert`` names the run that
+    ``demos_file`` was recorded from (``expert_of``).
     """
     commits = list(dict.fromkeys(process["commit"] for process in processes))
     devices = jax.devices()[: search.engine.num_devices]
@@ -50,6 +52,7 @@ def write(
             "end": _now(),
             "seconds": round(seconds, 1),
             "demonstrations_sha256": sha256(demos_file) if demos_file else None,
+            "demonstrations_expert": expert_of(demos_file) if demos_file else None,
             "sha256": {name: sha256(folder / name) for name in HASHED},
         },
     )

@@ -20,7 +20,7 @@ from qdil.qd import archive, history
 from qdil.qd.history import History
 from qdil.runs import checkpoint, manifest
 from qdil.runs.checkpoint import Position
-from qdil.runs.folder import demos_path, is_finished
+from qdil.runs.folder import demos_of, expert_seed_of, is_finished
 from qdil.runs.report import Report
 
 ARCHIVE_FIELDS = ("index", "measures", "fitness", "true_return", "length")
@@ -41,13 +41,13 @@ def train(
 ) -> bool:
     """Train ``config`` in ``folder``, or resume from its newest checkpoint. False if that run is already finished.
 
-    ``demos_file``: demonstrations, by default ``folder.demos_path``'s. ``save_seconds``: the time between checkpoints.
+    ``demos_file``: demonstrations, by default ``folder.demos_of``'s. ``save_seconds``: the time between checkpoints.
     Raises ConfigError before anything compiles: for demonstrations that are missing or do not fit, for a run with
     other settings in the folder, and if another process is training there.
     """
     if not save_seconds >= 0:
         raise ConfigError(f"save_seconds={save_seconds} must be at least 0.")
-    demos_file = _demos_file(config, demos_file)
+    demos_file = learns_from(config, demos_file)
 
     def is_done() -> bool:
         return _is_done(config, folder, demos_file)
@@ -92,11 +92,11 @@ def _train(
         checkpoint.remove(folder)
 
 
-def _demos_file(config: Config, given: Path | None) -> Path | None:
+def learns_from(config: Config, given: Path | None) -> Path | None:
     """The demonstrations that ``config`` learns from; None for a method that does not imitate."""
     if not parse_method(config.method).base.imitates:
         return None
-    return given or demos_path(config.budget, config.env, config.demos.demo_episodes)
+    return given or demos_of(config)
 
 
 def _is_done(config: Config, folder: Path, demos_file: Path | None) -> bool:
@@ -152,7 +152,11 @@ def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
             not parse_method(config.method).obs_only,
             config.demos.expert_alignment,
             config.seed,
-            config.demos.demo_episodes,
+            {
+                "demo_episodes": config.demos.demo_episodes,
+                "demo_attempts": config.demos.demo_attempts,
+                "expert_seed": expert_seed_of(config),
+            },
         )
         demonstrations.check_fits(demos, engine.env)
     except ValueError as error:
@@ -162,10 +166,13 @@ def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
 
 def _demos_command(config: Config) -> str:
     """The command that records the demonstrations that a run learns from."""
-    count = config.demos.demo_episodes
-    usual = make_config(config.env, "true", config.budget).demos.demo_episodes
-    command = f"qdil demos --env {config.env} --budget {config.budget}"
-    return command if count == usual else f"{command} --episodes {count}"
+    usual = make_config(config.env, "true", config.budget).demos
+    command = f"qdil demos --env {config.env} --budget {config.budget} --seed {expert_seed_of(config)}"
+    if config.demos.demo_episodes != usual.demo_episodes:
+        command += f" --episodes {config.demos.demo_episodes}"
+    if config.demos.demo_attempts != usual.demo_attempts:
+        command += f" --attempts {config.demos.demo_attempts}"
+    return command
 
 
 def _iterations(

@@ -17,7 +17,7 @@ from qdil.evidence import claims
 from qdil.extras import needs
 from qdil.robots.register import PAPER_ROBOTS, robot_names
 from qdil.runs import experiments, manifest, studies
-from qdil.runs.folder import RESULTS, demos_path
+from qdil.runs.folder import RESULTS, demos_of
 from qdil.runs.missing import train_missing
 
 with needs("notebooks", "what a notebook shows"):
@@ -79,14 +79,14 @@ class Page(NamedTuple):
             display(Markdown(f"No finished runs at this budget: {', '.join(without)}."))
 
     def demonstrations(self) -> Path | None:
-        """The file of the robot's demonstrations at this budget. Without one: None, and a line with the commands.
+        """Demonstrations of the expert with the page's seed. Without a file: None, and a line with the commands.
 
         Notebooks skip the cells that need demonstrated steps if it is None.
         """
-        path = demos_path(self.budget, self.env, make_config(self.env, "true", self.budget).demos.demo_episodes)
+        path = demos_of(make_config(self.env, "true", self.budget, self.seed))
         if path.is_file():
             return path
-        where = f"--env {self.env} --budget {self.budget}"
+        where = f"--env {self.env} --budget {self.budget} --seed {self.seed}"
         display(
             Markdown(
                 f"**No demonstrations yet**: there is no `{path.as_posix()}`, so the cells below that need "

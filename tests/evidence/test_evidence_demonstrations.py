@@ -4,7 +4,7 @@ import numpy as np
 
 from qdil.evidence import demonstrations
 from qdil.files import write_npz
-from qdil.runs.folder import demos_path, folder_of
+from qdil.runs.folder import folder_of
 
 
 def recorded(lengths=(3, 5)):
@@ -22,20 +22,21 @@ def recorded(lengths=(3, 5)):
 
 
 def test_only_robots_with_a_file_are_read(tmp_path):
-    write_npz(demos_path("laptop", "walker2d", 4, tmp_path), **recorded())
-    write_npz(demos_path("laptop", "humanoid", 2, tmp_path), **recorded())  # not the budget's usual number
-    found = demonstrations.of_robots("laptop", tmp_path)
+    folder = tmp_path / "laptop"
+    write_npz(folder / "walker2d" / "demos-4-seed-2.npz", **recorded())
+    write_npz(folder / "humanoid" / "demos-2-seed-2.npz", **recorded())  # not the budget's usual number
+    write_npz(folder / "halfcheetah" / "demos-4-seed-1.npz", **recorded())  # another expert
+    found = demonstrations.of_robots("laptop", 2, tmp_path)
     assert list(found) == ["walker2d"] and found["walker2d"]["obs"].shape == (8, 17)
 
 
 def test_what_is_there_is_not_recorded_again(tmp_path):
-    path = demos_path("smoke", "walker2d", 1, tmp_path)
-    assert demonstrations.record_missing("walker2d", "smoke", tmp_path).startswith(
-        "none recorded: there is no finished"
-    )
+    path = tmp_path / "smoke" / "walker2d" / "demos-1-seed-3.npz"
+    missing = demonstrations.record_missing("walker2d", "smoke", 3, tmp_path)
+    assert missing.startswith("none recorded: there is no finished") and "seed-3" in missing
     write_npz(path, **recorded())
     before = path.read_bytes()
-    assert demonstrations.record_missing("walker2d", "smoke", tmp_path).startswith("loaded")
+    assert demonstrations.record_missing("walker2d", "smoke", 3, tmp_path).startswith("loaded")
     assert path.read_bytes() == before
 
 
@@ -45,16 +46,22 @@ def test_an_expert_without_policies_gives_no_demonstrations(tmp_path):
     for name in ("config.json", "manifest.json"):
         (folder / name).write_text("{}")
     write_npz(folder / "archive.npz", index=np.zeros(0))
-    assert "has no policies.npz" in demonstrations.record_missing("walker2d", "smoke", tmp_path)
+    assert "has no policies.npz" in demonstrations.record_missing("walker2d", "smoke", 1, tmp_path)
 
 
 def test_a_row_per_episode_beside_the_archives_values():
     demos = recorded()
     table = demonstrations.episodes(demos, "walker2d")
     assert table["steps (rows)"].tolist() == [3, 5] and list(table.index) == [1, 2]
-    assert table["return"].tolist() == [10.0, 14.0] and table["return in the archive"].tolist() == [11.0, 12.0]
+    assert table["return"].tolist() == [10.0, 14.0] and table["return, as selected"].tolist() == [11.0, 12.0]
     assert table["foot_left down"].tolist() == [demos["proxy"][:3, 1].mean(), demos["proxy"][3:, 1].mean()]
-    assert set(table["foot down in the archive"]) == {0.25}
+    assert set(table["foot down, as selected"]) == {0.25}
+
+
+def test_falls_are_shown_where_the_file_tells():
+    table = demonstrations.episodes(recorded() | {"falls": np.array([3, 0]), "demo_attempts": np.array(16)}, "walker2d")
+    assert table["falls of 16"].tolist() == [3, 0]
+    assert not any("falls" in column for column in demonstrations.episodes(recorded(), "walker2d"))
 
 
 def test_summary_gives_means_and_deviations():

@@ -135,7 +135,7 @@ def test_marks_are_those_of_the_expert_and_the_demonstrations(tmp_path):
     imitator = explorer_runs.write(tmp_path / "gail" / "seed-1", CELLS, "gail")
     config = read_config(expert)
     places = np.array([[0.3, 0.5], [0.7, 0.1]], np.float32)
-    np.savez(tmp_path / f"demos-{config['demo_episodes']}.npz", elite_measures=places)
+    np.savez(tmp_path / f"demos-{config['demo_episodes']}-seed-1.npz", elite_measures=places)
     runs = shown.content(shown.read([expert, imitator]))["runs"]
     assert runs[0]["top"] == sorted(CELLS, reverse=True)[:5]  # a fifth of 25 cells, and returns grow with the number
     assert runs[1]["top"] == []

@@ -1,17 +1,15 @@
-"""Demonstrations: which elites are chosen, what is recorded, and which files are refused."""
+"""Demonstrations: which elites and episodes are chosen, and which files are refused."""
 
 import itertools
+from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from probes import counter
 
-from qdil.imitation import demos
-from qdil.rl import networks
+from qdil.imitation import demos, selection
 
 WALKER = counter(4.0)._replace(name="walker2d", backend="spring")
 
@@ -54,45 +52,37 @@ def test_selection_starts_from_the_best_and_stays_in_the_top_fifth():
     assert chosen[1] == best[int(np.argmax(distance))]
 
 
-# Recording
-
-
-@pytest.fixture(scope="module")
-def recorded():
-    """Three episodes of the counter: one that runs and falls, one that creeps to the time limit, one that backs off."""
-    like = networks.init_policy(jax.random.key(0), 1, 1, (2,), 1e-6)
-    blank = jax.tree.map(jnp.zeros_like, like)
-
-    def always(action):
-        last = {**blank["mean"][-1], "b": jnp.array([action])}
-        return networks.flatten({"mean": [blank["mean"][0], last], "log_std": like["log_std"]})
-
-    elites = {
-        "solution": np.stack([always(a) for a in (1.7, 0.25, -0.5)]),
-        "obs_mean": np.zeros((3, 1), np.float32),
-        "obs_std": np.ones((3, 1), np.float32),
+def test_fresh_values_replace_those_that_won_the_cells():
+    archive = {
+        "true_return": np.array([9.0, 8.0]),
+        "measures": np.array([[0.1, 0.1], [0.9, 0.9]]),
+        "rescored_return": np.array([3.0, 7.0]),
+        "rescored_measures": np.array([[0.2, 0.3], [0.8, 0.7]]),
+        "index": np.array([0, 24]),
     }
-    return demos.record(WALKER, blank, elites, jax.random.key(3), 9, False)
+    before = {name: values.copy() for name, values in archive.items()}
+    fresh = selection.fresh(archive)
+    assert fresh["true_return"].tolist() == [3, 7] and fresh["measures"].tolist() == [[0.2, 0.3], [0.8, 0.7]]
+    assert fresh["index"].tolist() == [0, 24]
+    for name, values in before.items():
+        np.testing.assert_array_equal(archive[name], values)
+    del archive["rescored_measures"]
+    with pytest.raises(ValueError, match="no rescored_measures"):
+        selection.fresh(archive)
 
 
-def test_recorded_rows_belong_to_one_step_each(recorded):
-    np.testing.assert_allclose(recorded["next_obs"], recorded["obs"] + recorded["action"], atol=1e-6)
-    np.testing.assert_array_equal(recorded["proxy"], recorded["obs"] >= np.array([1.0, 2.0]))
-    action_of = np.array([1.0, 0.25, -0.5])
-    np.testing.assert_allclose(recorded["action"][:, 0], action_of[recorded["episode"]])
-
-
-def test_recorded_episodes_are_whole_and_single(recorded):
-    lengths = np.bincount(recorded["episode"])
-    assert lengths.tolist() == [4, 9, 9]
-    for i, last in enumerate(np.cumsum(lengths) - 1):
-        rows = recorded["episode"] == i
-        assert recorded["terminated"][last] == (i == 0)
-        assert recorded["truncated"][last] == (i != 0)
-        assert (recorded["terminated"] | recorded["truncated"])[rows].sum() == 1
-        np.testing.assert_array_equal(recorded["obs"][rows][1:], recorded["next_obs"][rows][:-1])
-        assert recorded["episode_return"][i] == pytest.approx(recorded["reward"][rows].sum(), rel=1e-5)
-        np.testing.assert_allclose(recorded["episode_measures"][i], recorded["proxy"][rows].mean(axis=0))
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([0.0, 0.5, 1.0]))
+def test_the_first_episode_stands_if_any_does_and_is_the_nearest_of_its_kind(seed, count, share):
+    rng = np.random.default_rng(seed)
+    measures, target, length = rng.random((count, 2)), rng.random(2), rng.integers(1, 9, count)
+    fell = rng.random(count) < share
+    order = selection.best_first(measures, fell, length, target).tolist()
+    assert sorted(order) == list(range(count))
+    distance = [np.hypot(*(m - target)) for m in measures]
+    in_order = sorted(length)
+    median = (in_order[(count - 1) // 2] + in_order[count // 2]) / 2
+    kind = [0 if (length[i] >= median if all(fell) else not fell[i]) else 1 for i in range(count)]
+    assert order == sorted(range(count), key=lambda i: (kind[i], distance[i]))
 
 
 # Keeping
@@ -120,6 +110,59 @@ def test_what_is_saved_is_loaded(tmp_path, rows):
     loaded = demos.load(tmp_path / "demos.npz", "walker2d", "spring")
     for name in demos.FIELDS:
         np.testing.assert_array_equal(getattr(loaded, name), rows[name])
+
+
+RECORDED = {"demo_attempts": np.array(16), "expert_seed": np.array(2), "episode": np.repeat([0, 1], [3, 4])}
+AGREE = {"demo_episodes": 2, "demo_attempts": 16, "expert_seed": 2}
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("demo_episodes", "holds 2 demonstrations, not 7: add --set demo_episodes=2."),
+        ("demo_attempts", "holds episodes chosen from 16 of each demonstrator, not 7: add --set demo_attempts=16."),
+        ("expert_seed", "holds demonstrations of the expert of seed 2, not 7: add --set expert_seed=2."),
+    ],
+)
+def test_a_file_that_was_recorded_with_other_settings_is_refused(tmp_path, rows, name, sentence):
+    path = tmp_path / "demos.npz"
+    demos.save(path, rows | RECORDED, WALKER)
+    demos.load(path, "walker2d", "spring", expected=AGREE)
+    found = refused_by(lambda: demos.load(path, "walker2d", "spring", expected=AGREE | {name: 7}))
+    assert found == f"{path} {sentence}"
+
+
+def test_settings_that_a_file_does_not_name_are_not_checked(tmp_path, rows):
+    """As in files of earlier versions, and of other sources."""
+    path = tmp_path / "demos.npz"
+    demos.save(path, rows | {"episode": RECORDED["episode"]}, WALKER)
+    demos.load(path, "walker2d", "spring", expected=AGREE | {"demo_attempts": 7, "expert_seed": 7})
+    demos.save(path, rows, WALKER)
+    demos.load(path, "walker2d", "spring", expected=dict.fromkeys(AGREE, 7))
+    assert demos.expert_of(path) is None
+
+
+def test_further_columns_leave_what_is_learned_from_as_it_is(tmp_path, rows):
+    """Held-out episodes have as many rows as they have, whatever the number of demonstrated rows."""
+    path = tmp_path / "demos.npz"
+    held_out = {f"heldout_{name}": values[:2] + 1 for name, values in rows.items()}
+    demos.save(path, rows | held_out, WALKER)
+    loaded = demos.load(path, "walker2d", "spring")
+    for name in demos.FIELDS:
+        np.testing.assert_array_equal(getattr(loaded, name), rows[name])
+
+
+KEPT = sorted(Path(__file__).parents[2].glob("results/*/*/demos-*-seed-*.npz"))
+
+
+@pytest.mark.skipif(not KEPT, reason="no kept demonstrations here")
+def test_kept_demonstrations_are_read():
+    for path in KEPT:
+        with np.load(path) as file:
+            if "obs" not in file:  # in the showcase, which keeps only the demonstrators' places
+                continue
+            robot, backend, expected = str(file["robot"]), str(file["backend"]), file["obs"]
+        np.testing.assert_array_equal(demos.load(path, robot, backend).obs, expected)
 
 
 def test_a_missing_file_is_refused(tmp_path):

@@ -14,7 +14,7 @@ from qdil.cli import main
 from qdil.config import Evaluation, from_json, make_config
 from qdil.errors import ConfigError
 from qdil.files import sha256, write_json
-from qdil.imitation import demos as demonstrations
+from qdil.imitation.selection import select
 from qdil.plotting import LiveArchive
 from qdil.qd import history
 from qdil.runs.folder import read_archive
@@ -95,8 +95,9 @@ def test_demonstrations_are_whole_episodes_of_the_chosen_elites(made):
     with np.load(made / "demos.npz", allow_pickle=False) as file:
         demos = dict(file)
     elites = read_archive(made / "true")
-    rows = demonstrations.select(elites["true_return"], elites["measures"], 25, 2)
+    rows = select(elites["rescored_return"], elites["rescored_measures"], 25, 2)
     np.testing.assert_array_equal(demos["elite_index"], elites["index"][rows])
+    np.testing.assert_array_equal(demos["elite_return"], elites["rescored_return"][rows])
     for episode in range(2):
         steps = demos["episode"] == episode
         ended = demos["terminated"][steps] | demos["truncated"][steps]
@@ -140,6 +141,34 @@ def test_demonstrations_of_another_robot_are_refused(made, tmp_path, capsys):
     assert qdil("train", *arguments, "--out", tmp_path / "run") == 2
     assert "holds demonstrations of walker2d" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_demonstrations_of_another_expert_are_refused(made, tmp_path, capsys):
+    arguments = ["--env", "walker2d", "--method", "gail", "--budget", "smoke", "--demos", made / "demos.npz"]
+    arguments += ["--set", "demo_episodes=2", "--seed", 2, "--out", tmp_path / "run"]
+    assert qdil("train", *arguments) == 2
+    assert "expert of seed 1, not 2: add --set expert_seed=1" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_without_a_file_the_expert_of_the_runs_own_seed_is_asked_for(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["--env", "walker2d", "--method", "gail", "--budget", "smoke", "--seed", 2]
+    assert qdil("train", *arguments) == 2
+    words = capsys.readouterr().err
+    assert f"no demonstrations at {Path('results/smoke/walker2d/demos-1-seed-2.npz')}" in words
+    assert "'qdil demos --env walker2d --budget smoke --seed 2'" in words
+    assert qdil("train", *arguments, "--set", "expert_seed=1", "--set", "demo_attempts=3") == 2
+    words = capsys.readouterr().err
+    assert "demos-1-seed-1.npz" in words and "--seed 1 --attempts 3'" in words
+
+
+def test_a_manifest_names_the_expert_of_the_demonstrations(made):
+    manifests = {name: json.loads((made / name / "manifest.json").read_text()) for name in ("true", "gail")}
+    expert = {"run": "smoke/walker2d/true/seed-1", "seed": 1, "archive_sha256": sha256(made / "true" / "archive.npz")}
+    assert manifests["gail"]["demonstrations_expert"] == expert
+    assert manifests["gail"]["demonstrations_sha256"] == sha256(made / "demos.npz")
+    assert manifests["true"]["demonstrations_expert"] is None
 
 
 def test_another_number_of_demonstrations_than_is_recorded_is_refused(made, tmp_path, capsys):

@@ -82,8 +82,8 @@ def test_missing_runs_are_named(opened, shown):
 def test_without_demonstrations_a_page_says_how_to_make_them(opened, shown):
     opened_page, root = opened("laptop")
     assert opened_page.demonstrations() is None
-    assert "No demonstrations yet" in shown[-1] and "`qdil demos --env walker2d --budget laptop`" in shown[-1]
-    path = root / "results" / "laptop" / "walker2d" / "demos-4.npz"
+    assert "No demonstrations yet" in shown[-1] and "`qdil demos --env walker2d --budget laptop --seed 1`" in shown[-1]
+    path = root / "results" / "laptop" / "walker2d" / "demos-4-seed-1.npz"
     path.parent.mkdir(parents=True)
     path.touch()
     assert opened_page.demonstrations().samefile(path)

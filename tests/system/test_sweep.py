@@ -38,7 +38,22 @@ def planned(results: Path, methods: str, rule: str = "all", **more: str) -> dict
 
 
 def test_imitators_bring_the_expert_and_its_demonstrations_along(tmp_path):
-    assert planned(tmp_path, "gail,mconbo-gail", seeds="1,2,3") == {"all": 1, "run": 2 * 3 + 1, "demos": 1}
+    assert planned(tmp_path, "gail,mconbo-gail", seeds="1,2,3") == {"all": 1, "run": 3 * 3, "demos": 3}
+
+
+def test_each_seed_learns_from_its_own_expert(tmp_path):
+    command = [*SNAKEMAKE, "--dry-run", "--printshellcmds", *config(tmp_path, "gail", seeds="2,3")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    folder = tmp_path / "smoke" / "walker2d"
+    for seed in (2, 3):
+        file = folder / f"demos-1-seed-{seed}.npz"
+        assert f"--seed {seed} --out {folder}/gail/seed-{seed} --demos {file}" in done.stdout + done.stderr
+        recorded = f"--seed {seed} --episodes 1 --expert {folder}/true/seed-{seed} --out {file}"
+        assert recorded in done.stdout + done.stderr
+
+
+def test_one_expert_for_all_seeds_is_a_setting_of_the_experiment(tmp_path):
+    assert planned(tmp_path, "gail+expert_seed=2", seeds="1,2,3") == {"all": 1, "run": 3 + 1, "demos": 1}
 
 
 def test_methods_without_demonstrations_need_none(tmp_path):
@@ -53,9 +68,9 @@ def test_what_is_there_is_not_run_again(tmp_path):
 
 
 def test_a_study_is_its_experiments_each_with_the_demonstrations_it_learns_from(tmp_path):
-    """Figs. 12-14: the expert and two methods on 4, 2, 1 and 10 demonstrations."""
+    """Figs. 12-14: the expert and two methods on 4, 2, 1 and 10 demonstrations, those of each seed's expert."""
     plan = planned(tmp_path, "", budget="laptop", studies="demonstrations", seeds="1,2")
-    assert plan == {"all": 1, "run": 2 * (1 + 2 * 4), "demos": 4, "claims": 1}
+    assert plan == {"all": 1, "run": 2 * (1 + 2 * 4), "demos": 2 * 4, "claims": 1}
 
 
 def test_claims_are_judged_once_all_runs_are_there_and_never_from_smoke(tmp_path):
@@ -94,7 +109,7 @@ def test_beyond_smoke_notebooks_bring_their_runs_only_if_asked_to(tmp_path):
     more = {**NOTEBOOKS, "scratch": str(tmp_path / "scratch"), "minutes": "1", "budget": "laptop"}
     assert planned(tmp_path, "", "notebooks", **more) == {"notebooks": 1, "notebook": 2}
     plan = planned(tmp_path, "", "notebooks", **more, train="1")
-    assert plan == {"notebooks": 1, "notebook": 2, "run": 3 * 3, "demos": 1}  # three seeds of the study "main"
+    assert plan == {"notebooks": 1, "notebook": 2, "run": 3 * 3, "demos": 3}  # three seeds of the study "main"
 
 
 def test_runs_that_are_there_are_left_alone_by_notebooks(tmp_path):
