@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from qdil.evidence import tables
+from qdil.evidence import corrected, tables
 from qdil.runs.folder import read_archive
 
 
@@ -41,8 +41,13 @@ def _final(name: str) -> Callable[[Path], float]:
     return lambda folder: float(pd.read_csv(folder / "metrics.csv")[name].iloc[-1])
 
 
+def _corrected(name: str) -> Callable[[Path], float]:
+    return lambda folder: corrected.of_run(folder)[name]
+
+
 READINGS: dict[str, Callable[[Path], float]] = {
-    **{name: _final(name) for name in ("qd_score", "coverage", "best", "average")},
+    **{name: _final(name) for name in corrected.METRICS},
+    **{name: _corrected(name) for name in (*corrected.CORRECTED, *corrected.SHARES)},
     "c0_rise": lambda folder: c0_rise(pd.read_csv(folder / "metrics.csv")),
     "roughness": lambda folder: roughness(read_archive(folder)),
 }

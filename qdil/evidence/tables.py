@@ -9,27 +9,32 @@ from pathlib import Path
 
 import pandas as pd
 
-from qdil.evidence import paper, stats
+from qdil.evidence import corrected, paper, stats
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.runs.experiments import finished
-from qdil.runs.folder import RESULTS, read_archive
+from qdil.runs.folder import RESULTS
 
 Runs = Mapping[str, Sequence[Path]]
 
 COLUMNS = {
     "qd_score": "QD-score",
+    "corrected_qd_score": "corrected QD-score",
     "coverage": "coverage",
+    "corrected_coverage": "corrected coverage",
     "best": "best",
+    "corrected_best": "corrected best",
     "average": "average",
-    "rescored_average": "average, scored again",
+    "corrected_average": "corrected average",
+    "relanded": "lands in own cell",
+    "relanded_near": "own or next cell",
     "million_steps": "million steps",
     "minutes": "minutes",
 }
 SHORT = {"standard error": "s.e."}
 # The factor, format and unit of a metric in tables; other metrics are shown as whole numbers.
 FORMS = {
-    "qd_score": (1, ",.0f", ""),
-    "coverage": (100, ".1f", "%"),
+    **dict.fromkeys(("qd_score", "corrected_qd_score"), (1, ",.0f", "")),
+    **dict.fromkeys(("coverage", "corrected_coverage", *corrected.SHARES), (100, ".1f", "%")),
     "million_steps": (1, ".1f", ""),
     "minutes": (1, ".1f", ""),
 }
@@ -51,9 +56,9 @@ def read_metrics(runs: Runs) -> dict[str, list[pd.DataFrame]]:
 def final(runs: Runs) -> pd.DataFrame:
     """A row per experiment and seed with the run's final metrics, read from its files.
 
-    Index ``experiment`` and ``seed``; columns ``qd_score``, ``best``, ``average`` in reward units, ``coverage`` as a
-    share of the cells, ``rescored_average`` (the elites over fresh episodes, free of the luck that won them their
-    cells), ``million_steps`` and ``minutes``.
+    Index ``experiment`` and ``seed``; columns ``qd_score``, ``best``, ``average`` in reward units and ``coverage`` as a
+    share of the cells, each as claimed and ``corrected_`` (``qdil.qd.landing``); ``relanded`` and ``relanded_near`` as
+    shares of the elites; ``million_steps`` and ``minutes``.
     """
     rows = {(name, seed_of(folder)): _last(folder) for name, folders in runs.items() for folder in folders}
     index = pd.MultiIndex.from_tuples(list(rows), names=["experiment", "seed"])
@@ -68,8 +73,8 @@ def seed_of(folder: Path) -> int:
 def _last(folder: Path) -> dict[str, float]:
     last = pd.read_csv(folder / "metrics.csv").iloc[-1]
     return {
-        **{name: float(last[name]) for name in ("qd_score", "coverage", "best", "average")},
-        "rescored_average": float(read_archive(folder)["rescored_return"].mean()),
+        **corrected.of_run(folder),
+        **{name: float(last[name]) for name in corrected.METRICS},
         "million_steps": float(last["env_steps"]) / 1e6,
         "minutes": float(last["wall_seconds"]) / 60,
     }

@@ -16,12 +16,14 @@ def runs_of(root, names, env="walker2d"):
 
 
 def test_final_metrics_are_the_runs_last_row_and_their_archive(tmp_path):
-    write_run(tmp_path, "walker2d", "gail", 3, qd_score=40.0, coverage=0.5, best=30.0, average=20.0)
+    folder = write_run(tmp_path, "walker2d", "gail", 3, qd_score=40.0, coverage=0.5, best=30.0, average=20.0)
+    (folder / "summary.json").unlink()
     final = tables.final(runs_of(tmp_path, ["gail"]))
     assert final.index.to_list() == [("gail", 3)]
     assert final.loc[("gail", 3)].to_dict() == {
-        "qd_score": 40.0, "coverage": 0.5, "best": 30.0, "average": 20.0, "rescored_average": 19.0,
-        "million_steps": 3.0, "minutes": 3.0,
+        "qd_score": 40.0, "coverage": 0.5, "best": 30.0, "average": 20.0, "corrected_qd_score": 38.0,
+        "corrected_coverage": 0.5, "corrected_best": 29.0, "corrected_average": 19.0, "relanded": 1.0,
+        "relanded_near": 1.0, "million_steps": 3.0, "minutes": 3.0,
     }  # fmt: skip
 
 
