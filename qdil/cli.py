@@ -76,6 +76,7 @@ def _train(args: argparse.Namespace) -> int:
         return 0
     from qdil.devices import hosts
     from qdil.imitation.demo_report import fall_warning_of
+    from qdil.runs import summary
     from qdil.runs.folder import folder_of
     from qdil.runs.progress import Progress
     from qdil.runs.train import SAVE_SECONDS, learns_from, train
@@ -96,6 +97,7 @@ def _train(args: argparse.Namespace) -> int:
     finally:
         progress.close()
     print(f"The run in {folder} is {'finished' if trained else 'already finished; nothing to do'}.")
+    print(summary.sentences(summary.read(folder)))
     return 0
 
 

@@ -1,6 +1,7 @@
 """PPGA with MConbo-IRL: Algorithm 1 of the paper, one QD iteration a page."""
 
 import copy
+import math
 from typing import NamedTuple
 
 import jax
@@ -19,6 +20,10 @@ from qdil.qd.archive import Archives, Candidates
 from qdil.qd.xnes import XNES, draw_center
 from qdil.rl import networks
 from qdil.rl.evaluate import Policies, Scores
+
+# Fields of ``Candidates`` that ``reevaluate`` averages, and their names in ``archive.npz``.
+RESCORED = {"fitness": "rescored_fitness", "true_return": "rescored_return", "measures": "rescored_measures",
+            "length": "rescored_length"}  # fmt: skip
 
 
 class Search(NamedTuple):
@@ -222,16 +227,34 @@ def reevaluate(search: Search, key: jax.Array) -> dict[str, np.ndarray]:
     """Score every elite again over new episodes, by the fitness that archives compare at present (Appendix K).
 
     Archived scores are too high on average, because an archive keeps the best of many noisy scores; new scores are not.
-    Returns ``rescored_fitness``, ``rescored_return`` (n,) and ``rescored_measures`` (n, k) in the order of
-    ``archive.elite_arrays``.
+    Elites are scored in rounds of ``episodes`` until each has ``rescore_episodes`` or more, so that the programs that
+    scored the candidates serve here as well. Returns, in the order of ``archive.elite_arrays``, means over an elite's
+    rounds: ``rescored_fitness``, ``rescored_return``, ``rescored_length`` (n,) and ``rescored_measures`` (n, k); and
+    ``rescored_episodes`` (n,), how many episodes they are over. Rounds in which an elite's physics diverged do not
+    count; without any other round its means are not-a-number.
     """
-    count, size = len(search.archives.result), search.config.ppga.candidates
-    firsts = range(0, count, size)
-    scores = [evaluate(search, batch_of_elites(search, first), jax.random.fold_in(key, first)) for first in firsts]
-    shapes = {"fitness": (0,), "true_return": (0,), "measures": (0, search.engine.k)}
-    joined = {n: np.concatenate([np.zeros(e), *(getattr(s, n) for s in scores)])[:count] for n, e in shapes.items()}
-    names = {"fitness": "rescored_fitness", "true_return": "rescored_return", "measures": "rescored_measures"}
-    return {names[name]: values.astype(np.float32) for name, values in joined.items()}
+    count, size, k = len(search.archives.result), search.config.ppga.candidates, search.engine.k
+    batches = [_rescored(search, first, jax.random.fold_in(key, first)) for first in range(0, count, size)]
+    none = {**{name: np.zeros(0, np.float32) for name in RESCORED.values()}, "rescored_episodes": np.zeros(0, np.int32)}
+    none["rescored_measures"] = np.zeros((0, k), np.float32)
+    return {name: np.concatenate([empty, *(batch[name] for batch in batches)])[:count] for name, empty in none.items()}
+
+
+def _rescored(search: Search, first: int, key: jax.Array) -> dict[str, np.ndarray]:
+    """``reevaluate`` for the λ elites from row ``first`` on."""
+    evaluation, policies = search.config.evaluation, batch_of_elites(search, first)
+    counted = np.zeros(search.config.ppga.candidates, np.int32)
+    sums: dict[str, np.ndarray] = {}
+    for number in range(math.ceil(evaluation.rescore_episodes / evaluation.episodes)):
+        scores = evaluate(search, policies, jax.random.fold_in(key, number))
+        sound = archive.usable(scores)
+        counted += sound
+        for field, name in RESCORED.items():
+            values = np.asarray(getattr(scores, field), np.float64)
+            sums[name] = sums.get(name, 0.0) + np.where(sound if values.ndim == 1 else sound[:, None], values, 0.0)
+    with np.errstate(invalid="ignore"):  # 0 / 0 is not-a-number
+        means = {name: (total.T / counted).T.astype(np.float32) for name, total in sums.items()}
+    return {**means, "rescored_episodes": counted * np.int32(evaluation.episodes)}
 
 
 def _info(

@@ -255,6 +255,70 @@ def test_elites_score_again_exactly_where_nothing_is_random(expert):
     np.testing.assert_allclose(again["rescored_measures"], elites["measures"], atol=1e-6)
 
 
+def test_fresh_scores_are_means_over_rounds_of_episodes_with_keys_of_their_own(expert, monkeypatch):
+    """At least 5 episodes in rounds of 2 are 3 rounds. A round in which the physics diverged does not count."""
+    search = expert[0]._replace(config=change(expert[0].config, rescore_episodes=5, episodes=2))
+    elites = archive.elite_arrays(search.archives)
+    count, size = len(elites["index"]), search.config.ppga.candidates
+    given, keys = [], []
+
+    def scored(search, policies, key):
+        draw = np.random.default_rng(len(given))
+        finite = np.ones(size, bool)
+        finite[2] = len(given) % 3 != 1  # the second round of a batch
+        finite[3] = False
+        lengths, measures = draw.integers(1, 20, size).astype(float), draw.uniform(size=(size, 2))
+        scores = (draw.normal(size=size), draw.normal(size=size), measures, lengths, finite)
+        given.append(archive.Candidates(*(np.asarray(x) for x in policies), *scores))
+        keys.append(jax.random.key_data(key).tolist())
+        return given[-1]
+
+    monkeypatch.setattr(ppga, "evaluate", scored)
+    again = ppga.reevaluate(search, jax.random.key(3))
+    batches = -(-count // size)
+    assert len(given) == 3 * batches and len({tuple(key) for key in keys}) == len(keys)
+    for row in range(count):
+        rounds = [one for one in given[3 * (row // size) :][:3] if one.finite[row % size]]
+        assert again["rescored_episodes"][row] == 2 * len(rounds)
+        np.testing.assert_array_equal(given[3 * (row // size)].theta[row % size], elites["solution"][row])
+        for name, field in (("rescored_return", "true_return"), ("rescored_fitness", "fitness"),
+                            ("rescored_measures", "measures"), ("rescored_length", "length")):  # fmt: skip
+            values = [getattr(one, field)[row % size] for one in rounds]
+            expected = np.mean(values, axis=0) if rounds else np.nan * again[name][row]
+            np.testing.assert_allclose(again[name][row], expected, rtol=1e-6)
+    assert set(again["rescored_episodes"].tolist()) == {0, 4, 6}
+
+
+def test_scoring_elites_again_compiles_nothing(expert):
+    """However many rounds: the programs that scored the candidates serve."""
+    search = expert[0]._replace(config=change(expert[0].config, rescore_episodes=3))
+    ppga.reevaluate(search, jax.random.key(5))  # a key's first use compiles what JAX's own functions need
+    compiled = []
+
+    def listen(name, seconds, **_):
+        compiled.extend([name] if name.endswith("backend_compile_duration") else [])
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        more = search._replace(config=change(search.config, rescore_episodes=7))
+        again = ppga.reevaluate(more, jax.random.key(6))
+        before = list(compiled)
+        jax.jit(lambda x: x * 3 + 0.123)(jnp.ones(7))  # what the listener hears
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert before == [] and len(compiled) > 0
+    assert set(again["rescored_episodes"].tolist()) == {7}
+
+
+def test_an_empty_archive_is_scored_again_in_no_time():
+    search = ppga.begin(config_of("true"), None)
+    again = ppga.reevaluate(search, jax.random.key(0))
+    assert {name: values.shape for name, values in again.items()} == {
+        "rescored_fitness": (0,), "rescored_return": (0,), "rescored_measures": (0, 2), "rescored_length": (0,),
+        "rescored_episodes": (0,),
+    }  # fmt: skip
+
+
 def test_a_warm_up_is_plain_ppo_on_fitness(expert):
     """A hundred updates on the true reward alone: the skill is learned."""
     search = ppga.begin(config_of("true"), None)

@@ -94,6 +94,9 @@ class Evaluation:
     """How candidates are scored over whole episodes."""
 
     episodes: AtLeastOne = setting(10, "whole episodes per candidate (authors)")
+    rescore_episodes: AtLeastOne = setting(
+        20, "fresh episodes per elite of the finished archive, at least; a multiple of episodes is taken (ours)"
+    )
     sample_actions: bool = setting(
         True, "candidates and demonstrators sample actions from π_θ (true) or take its mean (false)"
     )

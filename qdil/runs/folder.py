@@ -7,6 +7,7 @@
 | ``history.npz`` | every elite that ever took a cell, with its iteration |
 | ``archive.npz`` | the filled cells at the end |
 | ``policies.npz`` | their policies (not in git) |
+| ``summary.json`` | the metrics, as claimed and corrected |
 | ``manifest.json`` | commit, packages, times and the hashes of the other files; written last |
 
 Demonstrations lie beside the runs of their robot, not in the folder of their expert: a run's folder is complete once

@@ -14,7 +14,7 @@ from qdil.imitation.demos import expert_of
 from qdil.ppga import Search
 
 PACKAGES = ("jax", "jaxlib", "brax", "mujoco", "mujoco-mjx", "ribs", "optax", "numpy")
-HASHED = ("config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz")
+HASHED = ("config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz", "summary.json")
 
 
 def _now() -> str:

@@ -7,6 +7,7 @@ from qdil.config import Config, make_config
 from qdil.files import read_npz
 from qdil.imitation.demo_report import report as demos_report
 from qdil.methods import parse_method
+from qdil.runs import summary
 from qdil.runs.demos import make_demos
 from qdil.runs.experiments import SEEDS
 from qdil.runs.folder import RESULTS, demos_of, expert_seed_of, folder_of, is_finished
@@ -57,3 +58,4 @@ def _train(config: Config, folder: Path, demos: Path | None, say: Say, report: M
     if not is_finished(folder):
         say(f"training {folder}")
         train(config, folder, demos, report(config))
+        say(summary.sentences(summary.read(folder)))

@@ -1,4 +1,4 @@
-"""Train a run in its folder, with checkpoints: config, metrics, history, archive, policies and manifest."""
+"""Train a run in its folder, with checkpoints: config, metrics, history, archive, policies, summary and manifest."""
 
 import time
 from contextlib import ExitStack
@@ -18,7 +18,7 @@ from qdil.imitation.reward_model import Demonstrations
 from qdil.methods import parse_method
 from qdil.qd import archive, history
 from qdil.qd.history import History
-from qdil.runs import checkpoint, manifest
+from qdil.runs import checkpoint, manifest, summary
 from qdil.runs.checkpoint import Position
 from qdil.runs.folder import demos_of, expert_seed_of, is_finished
 from qdil.runs.report import Report
@@ -253,9 +253,12 @@ class _Saver:
 
 
 def _write_archive(search: ppga.Search, rescored: dict[str, np.ndarray], folder: Path) -> None:
+    """The archive, its policies and the summary of its metrics; ``rescored`` as ``ppga.reevaluate`` returns it."""
     elites = archive.elite_arrays(search.archives)
     cells = np.asarray(search.archives.result.dims)
-    write_npz(folder / "archive.npz", **{name: elites[name] for name in ARCHIVE_FIELDS}, **rescored, cells=cells)
+    kept = {**{name: elites[name] for name in ARCHIVE_FIELDS}, **rescored, "cells": cells}
+    write_npz(folder / "archive.npz", **kept)
+    summary.write(folder, kept)
     write_npz(folder / "policies.npz", **{name: elites[name] for name in POLICY_FIELDS})
 
 

@@ -73,11 +73,12 @@ def count(config: Config, learns: bool, k: int) -> Steps:
     rollout = config.ppo.rollout_length * config.ppo.num_envs
     episodes = ppga.candidates * config.evaluation.episodes * config.simulation.episode_length
     updates = ppga.gradient_updates + ppga.walk_updates + int(learns)
+    rounds = math.ceil(config.evaluation.rescore_episodes / config.evaluation.episodes)
     return Steps(
         ppga.warmup_updates * rollout,
         ppga.iterations * updates * rollout,
         ppga.iterations * episodes,
-        math.ceil(ppga.cells**k / ppga.candidates) * episodes,
+        math.ceil(ppga.cells**k / ppga.candidates) * rounds * episodes,
     )
 
 

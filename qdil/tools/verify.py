@@ -11,6 +11,7 @@ from qdil.config import Config, change, from_json
 from qdil.engine.engine import Engine
 from qdil.errors import ConfigError
 from qdil.files import read_json, sha256
+from qdil.runs import summary
 from qdil.runs.folder import is_finished, read_archive
 
 
@@ -22,6 +23,7 @@ class Verified(NamedTuple):
     sampled: int  # elites evaluated again; 0 without policies
     returns: np.ndarray  # (sampled, 2) true return in the archive, and on new episodes
     moved: np.ndarray  # (sampled,) distance between archived and new measures
+    metrics: str = ""  # the run's metrics, as claimed and corrected; empty if its elites were not scored again
     obstacle: str = ""  # the reason why no elite was evaluated, if no file is changed or missing
 
     def sound(self) -> bool:
@@ -39,6 +41,8 @@ def verify(folder: Path, seed: int = 0) -> Verified:
     missing = [name for name in expected if not (folder / name).is_file()]
     changed = [n for n, digest in expected.items() if n not in missing and sha256(folder / n) != digest]
     nothing = Verified(changed, missing, 0, np.zeros((0, 2)), np.zeros(0))
+    if nothing.sound():
+        nothing = nothing._replace(metrics=_metrics(folder))
     if missing or changed:
         return nothing
     try:
@@ -51,13 +55,18 @@ def verify(folder: Path, seed: int = 0) -> Verified:
         return nothing._replace(obstacle="The archive is empty.")
     rows = np.random.default_rng(seed).choice(len(elites["index"]), count, replace=False)
     true_return, measures = _evaluate(config, elites, rows, seed)
-    return Verified(
-        changed,
-        missing,
-        count,
-        np.stack([elites["true_return"][rows], true_return[:count]], axis=1),
-        np.linalg.norm(elites["measures"][rows] - measures[:count], axis=1),
+    return nothing._replace(
+        sampled=count,
+        returns=np.stack([elites["true_return"][rows], true_return[:count]], axis=1),
+        moved=np.linalg.norm(elites["measures"][rows] - measures[:count], axis=1),
     )
+
+
+def _metrics(folder: Path) -> str:
+    try:
+        return summary.sentences(summary.read(folder))
+    except ConfigError:
+        return ""
 
 
 def _expected(folder: Path) -> dict[str, str]:
@@ -89,6 +98,7 @@ def report(found: Verified) -> str:
     lines += [f"{name}: missing" for name in found.missing]
     if not lines:
         lines.append("All files match the manifest.")
+    lines += [found.metrics] if found.metrics else []
     if found.sampled:
         old, new = found.returns.T
         change = np.median(np.abs(new - old))

@@ -17,6 +17,8 @@ from qdil.files import sha256, write_json
 from qdil.imitation.selection import select
 from qdil.plotting import LiveArchive
 from qdil.qd import history
+from qdil.qd.landing import METRICS
+from qdil.runs import summary
 from qdil.runs.folder import read_archive
 from qdil.runs.progress import Progress
 from qdil.runs.report import AfterIteration
@@ -25,7 +27,7 @@ from qdil.tools import plan, verify
 
 pytestmark = pytest.mark.physics
 
-FILES = {"config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz", "manifest.json"}
+FILES = {"config.json", "metrics.csv", "history.npz", "archive.npz", "policies.npz", "summary.json", "manifest.json"}
 
 
 def qdil(*words: object) -> int:
@@ -67,6 +69,25 @@ def test_metrics_agree_with_the_archive(made, method):
     assert last["coverage"] == len(elites["index"]) / np.prod(elites["cells"])
     assert last["best"] == pytest.approx(elites["true_return"].max())
     assert (metrics["env_steps"].diff().dropna() > 0).all()
+
+
+@pytest.mark.parametrize("method", ["true", "gail", "mconbo-gail"])
+def test_the_summary_holds_both_readings(made, method):
+    elites, metrics = read_archive(made / method), pd.read_csv(made / method / "metrics.csv")
+    kept = json.loads((made / method / "summary.json").read_text())
+    assert {name: kept[name] for name in METRICS} == metrics[list(METRICS)].iloc[-1].to_dict()
+    assert kept["rescored_episodes"] == 20 and (elites["rescored_episodes"] == 20).all()
+    landed: dict[tuple[int, int], float] = {}
+    for (x, y), value in zip(elites["rescored_measures"], elites["rescored_return"], strict=True):
+        cell = min(4, int(5 * x + 1e-4)), min(4, int(5 * y + 1e-4))
+        landed[cell] = max(landed.get(cell, -np.inf), float(value))
+    assert kept["corrected_qd_score"] == pytest.approx(sum(landed.values()))
+    assert kept["corrected_coverage"] == len(landed) / 25
+    assert 0 <= kept["relanded"] <= kept["relanded_near"] <= 1
+    assert summary.read(made / method) == {name: kept[name] for name in summary.NAMES}
+    (made / method / "summary.json").rename(made / "aside.json")
+    assert summary.read(made / method) == {name: kept[name] for name in summary.NAMES}  # from the archive
+    (made / "aside.json").rename(made / method / "summary.json")
 
 
 def test_the_expert_is_filled_by_true_returns_and_imitators_by_learned_ones(made):
@@ -126,7 +147,12 @@ def test_same_seed_gives_the_same_bytes_and_another_seed_does_not(made, tmp_path
 def test_a_finished_run_is_not_trained_again(made, capsys):
     before = (made / "true" / "manifest.json").stat().st_mtime_ns
     assert qdil("train", "--env", "walker2d", "--method", "true", "--budget", "smoke", "--out", made / "true") == 0
-    assert "already finished" in capsys.readouterr().out
+    first, claimed, corrected = capsys.readouterr().out.splitlines()
+    kept = json.loads((made / "true" / "summary.json").read_text())
+    assert "already finished" in first
+    assert claimed.startswith(f"As claimed: QD-score {kept['qd_score']:,.0f}, coverage {kept['coverage']:.1%}")
+    assert corrected.startswith(f"Corrected: QD-score {kept['corrected_qd_score']:,.0f}, coverage")
+    assert f"; {kept['relanded']:.0%} of the elites land in their own cell" in corrected
     assert (made / "true" / "manifest.json").stat().st_mtime_ns == before
 
 
@@ -210,6 +236,7 @@ def test_verify_finds_a_run_as_it_was(made, capsys):
     assert qdil("verify", made / "gail") == 0
     output = capsys.readouterr().out
     assert "All files match the manifest" in output and "elites on new episodes" in output
+    assert summary.sentences(summary.read(made / "gail")) in output
     found = verify.verify(made / "true")
     elites = read_archive(made / "true")
     assert found.sampled == min(8, len(elites["index"])) and set(found.returns[:, 0]) <= set(elites["true_return"])
@@ -267,7 +294,8 @@ def test_the_steps_that_are_planned_are_those_that_a_run_makes(made, tmp_path, m
     recorded = pd.read_csv(tmp_path / "metrics.csv")["env_steps"].iloc[-1]
     assert recorded == steps.warm_up + steps.training + sum(evaluated[:3])
     assert 0 < sum(evaluated[:3]) <= steps.evaluation == 3 * 8 * 2 * 50
-    assert 0 < sum(evaluated[3:]) <= steps.rescoring and len(evaluated[3:]) <= 4  # 25 cells, 8 at a time
+    assert 0 < sum(evaluated[3:]) <= steps.rescoring
+    assert len(evaluated[3:]) <= 4 * 10  # 25 cells, 8 at a time; 20 episodes, 2 at a time
 
 
 def test_an_estimate_counts_what_a_reward_learns_before_the_run(monkeypatch):
