@@ -37,7 +37,7 @@ def summary_table(runs: Runs) -> str:
     """The final metrics of runs as a Markdown table, each number read from the runs' own files.
 
     Several seeds give "mean ± standard deviation" and a column that counts them; one seed gives the number alone.
-    "scored again" is the elites' average true return over fresh episodes, free of the luck that won them their cells.
+    Corrected metrics are those of the elites over fresh episodes, put where they land (``qdil.qd.landing``).
     """
     shown = tables.summary(runs)
     if all(len(folders) == 1 for folders in runs.values()):
@@ -55,14 +55,16 @@ def draw(runs: Runs, env: str) -> dict[str, Figure]:
     metrics = tables.read_metrics(main)
     figures = {f"curves-{x}": plotting.learning_curves(metrics, x) for x in plotting.X_LABELS}
     first = {name: read_archive(folders[0]) for name, folders in main.items()}
-    figures["archives"] = plotting.archives_side_by_side(first, robot=env)
+    figures["archives"] = plotting.both_readings(first, robot=env)
     for study in STUDIES:
         compared = of_study(runs, study)
         if study != "main" and set(compared) - set(main):
             figures[f"{study}-curves"] = plotting.learning_curves(tables.read_metrics(compared))
             figures[f"{study}-bars"] = plotting.bars(tables.final(compared))
             if study == "p-and-q":
-                figures[f"{study}-grid"] = plotting.grid(tables.final(compared))
+                for metric in ("qd_score", "corrected_qd_score"):
+                    name = f"{study}-grid" if metric == "qd_score" else f"{study}-grid-corrected"
+                    figures[name] = plotting.grid(tables.final(compared), metric=metric)
     return figures
 
 

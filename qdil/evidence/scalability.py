@@ -9,19 +9,19 @@ from qdil.evidence import paper, tables
 COLUMNS = ["method", "n_demos", "metric", "value", "spread"]
 
 
-def ours(runs: tables.Runs, env: str, budget: str) -> pd.DataFrame:
+def ours(runs: tables.Runs, env: str, budget: str, corrected: bool = False) -> pd.DataFrame:
     """A row per method, number of demonstrations and metric of ``runs``.
 
     ``value`` is the mean over seeds in reward units, coverage as a share of the cells; ``spread`` the standard
-    deviation over seeds, not-a-number for a single seed. An experiment that does not name a number of demonstrations
-    has the budget's.
+    deviation over seeds, not-a-number for a single seed. ``corrected``: the metrics' corrected readings. An experiment
+    that does not name a number of demonstrations has the budget's.
     """
     rows = []
     for name, group in tables.final(runs).groupby(level="experiment", sort=False):
         method, *settings = str(name).split("+")
         count = make_config(env, method, budget, **parse_settings(settings)).demos.demo_episodes
         for metric in paper.METRICS:
-            values = group[metric].to_numpy()
+            values = group[f"corrected_{metric}" if corrected else metric].to_numpy()
             rows.append([method, count, metric, values.mean(), values.std(ddof=1) if len(values) > 1 else np.nan])
     return pd.DataFrame(rows, columns=COLUMNS)
 

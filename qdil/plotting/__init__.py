@@ -5,7 +5,7 @@ pyplot's current figure, so a notebook shows a figure once, where a cell returns
 import JAX; the few figures that need it import it when they are drawn.
 """
 
-from qdil.plotting.archives import archives_side_by_side, behaviour_space, heatmap
+from qdil.plotting.archives import archives_side_by_side, behaviour_space, both_readings, heatmap
 from qdil.plotting.bars import bars, grid
 from qdil.plotting.colours import method_colour, styles
 from qdil.plotting.curves import learning_curves
@@ -20,6 +20,7 @@ __all__ = [
     "archives_side_by_side",
     "bars",
     "behaviour_space",
+    "both_readings",
     "grid",
     "heatmap",
     "label",

@@ -14,6 +14,7 @@ from qdil.imitation.selection import top_fifth
 from qdil.plotting.colours import BLUE, EMPTY, GREEN, RED
 from qdil.plotting.measures import STRIP, Plane, Space, label_measures, measure_panels, planes, scatter, set_title
 from qdil.plotting.style import FIELD_LABELS, label, styled
+from qdil.qd.landing import corrected_archive
 
 MOST_AS_VECTORS = 30  # cells per measure; a PDF holds larger heatmaps as pixels, so that it stays small
 
@@ -141,21 +142,57 @@ def archives_side_by_side(
     Each title gives the number of filled cells. One measure is a strip, two are a square, and of more measures a
     triangle shows every pair. Raises ValueError where there is nothing to draw, or where archives differ in k.
     """
+    k = _measures_of(archives, field)
+    limits = value_limits(archives.values(), field)
+    figure, spaces = measure_panels(len(archives), k, robot, size=(3.6, 3.9), margin=bar_margin(k))
+    for space, (experiment, archive) in zip(spaces, archives.items(), strict=True):
+        mesh = draw_archive(space, archive, limits, field)
+        name = label(experiment)
+        line_break = "\n" if len(name) > 16 and k == 2 else " "
+        set_title(space, f"{name}:{line_break}{_filled(archive)}")
+    draw_colour_bar(mesh, [ax for space in spaces for ax in space.values()], field, k)
+    return figure
+
+
+def _measures_of(archives: Mapping[str, Mapping[str, Any]], field: str) -> int:
+    """The number k of measures of all ``archives``. Raises ValueError if they cannot be drawn beside each other."""
     if not archives:
         raise ValueError("there are no archives to draw.")
     if any(field not in archive for archive in archives.values()):
         raise ValueError(f"not every archive has the field '{field}'.")
     if len({len(archive["cells"]) for archive in archives.values()}) > 1:
         raise ValueError("these archives differ in the number of measures: they cannot be drawn side by side.")
-    k = len(next(iter(archives.values()))["cells"])
-    limits = value_limits(archives.values(), field)
-    figure, spaces = measure_panels(len(archives), k, robot, size=(3.6, 3.9), margin=bar_margin(k))
-    for space, (experiment, archive) in zip(spaces, archives.items(), strict=True):
-        mesh = draw_archive(space, archive, limits, field)
-        name, filled = label(experiment), len(archive["index"])
-        line_break = "\n" if len(name) > 16 and k == 2 else " "
-        set_title(space, f"{name}:{line_break}{filled:,} of {math.prod(map(int, archive['cells'])):,} cells")
-    draw_colour_bar(mesh, [ax for space in spaces for ax in space.values()], field, k)
+    return len(next(iter(archives.values()))["cells"])
+
+
+def _filled(archive: Mapping[str, Any]) -> str:
+    return f"{len(archive['index']):,} of {math.prod(map(int, archive['cells'])):,} cells"
+
+
+@styled
+def both_readings(archives: Mapping[str, Mapping[str, Any]], robot: str | None = None) -> Figure:
+    """Each experiment's archive as claimed and, next to it, as it lands on fresh episodes, all on one colour scale.
+
+    ``archives`` as in ``heatmap``, with ``rescored_return`` (n,) and ``rescored_measures`` (n, k); where an elite lands
+    is defined in ``qdil.qd.landing``. Three or four archives of two measures have their claimed maps in one row and the
+    landed maps below; otherwise the two maps of each archive are neighbours.
+    Raises ValueError where there is nothing to draw or where archives differ in k, and ConfigError for an archive
+    without scores on fresh episodes.
+    """
+    k = _measures_of(archives, "true_return")
+    pairs = [
+        ((name, "as claimed", one), (name, "as it lands", corrected_archive(one))) for name, one in archives.items()
+    ]
+    in_rows = k == 2 and len(pairs) in (3, 4)
+    shown = [*(claimed for claimed, _ in pairs), *(landed for _, landed in pairs)] if in_rows else sum(pairs, ())
+    columns = len(pairs) if in_rows else {1: 1, 2: min(2 * len(pairs), 4)}.get(k, 2)
+    limits = value_limits((archive for _, _, archive in shown), "true_return")
+    figure, spaces = measure_panels(len(shown), k, robot, size=(3.6, 4.1), margin=bar_margin(k), columns=columns)
+    for space, (name, reading, archive) in zip(spaces, shown, strict=True):
+        mesh = draw_archive(space, archive, limits)
+        line_break = ": " if k == 1 else "\n"
+        set_title(space, f"{label(name)}{line_break}{reading}, {_filled(archive)}")
+    draw_colour_bar(mesh, [ax for space in spaces for ax in space.values()], "true_return", k)
     return figure
 
 

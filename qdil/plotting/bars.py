@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from qdil.config import value_of
@@ -17,28 +18,40 @@ from qdil.plotting.style import METRICS, MORE_METRICS, label, percent, short, st
 from qdil.runs.studies import config_of
 
 LABELS = {**METRICS, **MORE_METRICS}
+HATCHED: dict[str, Any] = {"facecolor": "white", "hatch": "////", "linewidth": 1.0}  # bars of corrected metrics
 
 
 @styled
 def bars(final: pd.DataFrame, metrics: str | Sequence[str] = tuple(METRICS)) -> Figure:
     """A panel for every metric with a bar for every experiment, over its seeds.
 
-    A bar is the mean, its whiskers are ± one standard deviation, and every seed is a dot. ``final`` has a row per
-    experiment and seed, as from ``tables.final``. Raises ValueError for a metric that is not a column of ``final``,
+    A bar is the mean, its whiskers are ± one standard deviation, and every seed is a dot. Where ``final`` also has a
+    metric's corrected reading (``qdil.qd.landing``), a hatched bar below shows it. ``final`` has a row per experiment
+    and seed, as from ``tables.final``. Raises ValueError for a metric that is not a column of ``final``,
     or where there is nothing to draw.
     """
     chosen = [metrics] if isinstance(metrics, str) else list(metrics)
     for metric in chosen:
         _check(final, metric)
     experiments = list(dict.fromkeys(final.index.get_level_values("experiment")))
-    height = 1.0 + 0.32 * len(experiments)
+    both = any(f"corrected_{metric}" in final for metric in chosen)
+    height = 1.0 + (0.45 if both else 0.32) * len(experiments) + 0.3 * both
     figure = Figure(figsize=(2.2 + 2.7 * len(chosen), max(2.0, height)))
     axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
     for ax, metric in zip(axes, chosen, strict=True):
-        _bars(ax, final[metric] * percent(metric), experiments)
+        readings = [name for name in (metric, f"corrected_{metric}") if name in final]
+        for i, reading in enumerate(readings):
+            rows = np.arange(len(experiments)) + (0.2 if len(readings) > 1 else 0.0) * (2 * i - 1)
+            _bars(ax, final[reading] * percent(metric), experiments, rows, 0.7 / len(readings), hatched=i == 1)
         ax.set_xlabel(LABELS[metric])
     axes[0].set_yticks(range(len(experiments)), [label(name) for name in experiments])
     axes[0].invert_yaxis()
+    if both:
+        kinds = [
+            Patch(fc="0.6", label="as claimed"),
+            Patch(**HATCHED, edgecolor="0.4", label="corrected (fresh episodes)"),
+        ]
+        figure.legend(handles=kinds, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -49,10 +62,15 @@ def _check(final: pd.DataFrame, metric: str) -> None:
         raise ValueError("there are no runs to draw.")
 
 
-def _bars(ax: Axes, values: pd.Series, experiments: list[str]) -> None:
-    for row, experiment in enumerate(experiments):
+def _bars(
+    ax: Axes, values: pd.Series, experiments: list[str], rows: np.ndarray, height: float, hatched: bool = False
+) -> None:
+    """A bar of ``height`` for every experiment, centred at its place in ``rows``."""
+    for row, experiment in zip(rows, experiments, strict=True):
         seeds = values.xs(experiment, level="experiment").to_numpy(float)
-        ax.barh(row, seeds.mean(), height=0.7, color=method_colour(experiment), alpha=0.75)
+        colour = method_colour(experiment)
+        look: dict[str, Any] = {**HATCHED, "edgecolor": colour} if hatched else {"color": colour, "alpha": 0.75}
+        ax.barh(row, seeds.mean(), height=height, **look)
         if len(seeds) > 1:
             ax.errorbar(seeds.mean(), row, xerr=seeds.std(ddof=1), color="black", lw=1)
         ax.plot(seeds, np.full(len(seeds), row), "o", ms=4, mfc="white", mec="black", mew=0.8)

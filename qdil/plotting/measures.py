@@ -29,20 +29,26 @@ def planes(k: int) -> list[Plane]:
 
 
 def measure_panels(
-    count: int, k: int, robot: str | None, size: tuple[float, float], margin: tuple[float, float], in_a_row: int = 4
+    count: int,
+    k: int,
+    robot: str | None,
+    size: tuple[float, float],
+    margin: tuple[float, float],
+    in_a_row: int = 4,
+    columns: int | None = None,
 ) -> tuple[Figure, list[Space]]:
     """A figure with ``count`` measure spaces of k measures, and the axes of each.
 
-    ``size`` is the width and height in inches of a space of two measures, and ``in_a_row`` the most of them side by
-    side; strips and triangles have their own sizes. ``margin`` is added to the figure's width and height for
-    legends and colour bars (to the height alone for strips). Only the outer axes have labels. Raises ValueError for a
-    ``count`` of 0.
+    ``size`` is the width and height in inches of a space of two measures; strips and triangles have their own sizes.
+    ``in_a_row`` is the most of them side by side, and ``columns`` sets their number. ``margin`` is added to the
+    figure's width and height for legends and colour bars (to the height alone for strips). Only the outer axes have
+    labels. Raises ValueError for a ``count`` of 0.
     """
     if count < 1:
         raise ValueError("there is nothing to draw.")
     (width, height), most = _size(k, size, in_a_row)
-    rows = math.ceil(count / most)
-    columns = math.ceil(count / rows)
+    columns = columns or math.ceil(count / math.ceil(count / most))
+    rows = math.ceil(count / columns)
     beside = margin[0] if k > 1 else 0.0  # a wider strip is also higher, which leaves no room for its title
     figure = Figure(figsize=(width * columns + beside, height * rows + margin[1]))
     squares = max(1, k - 1)  # of a triangle, in each direction

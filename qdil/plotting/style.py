@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from qdil.files import replace_file
 from qdil.names import label as label
+from qdil.qd.landing import SHARES
 
 # ``@styled`` around a function that makes a figure applies qdil.mplstyle while it runs and changes nothing afterwards.
 styled = rc_context(rc_params_from_file(Path(__file__).with_name("qdil.mplstyle"), use_default_template=False))
@@ -19,7 +20,9 @@ METRICS = {
     "average": "average return (reward units)",
 }
 MORE_METRICS = {
-    "rescored_average": "average return, scored again (reward units)",
+    **{f"corrected_{name}": f"corrected {text}" for name, text in METRICS.items()},
+    "relanded": "elites that land in their own cell (%)",
+    "relanded_near": "elites that land in their own or the next cell (%)",
     "million_steps": "environment steps (millions)",
     "minutes": "training time (minutes)",
 }
@@ -45,8 +48,8 @@ def short(x: float, _: float = 0.0) -> str:
 
 
 def percent(metric: str) -> float:
-    """The factor from a metric to the unit of its axis label: coverage is a share, and its axis is in percent."""
-    return 100.0 if metric == "coverage" else 1.0
+    """The factor from a metric to the unit of its axis label: coverage and re-landing are shares, shown in percent."""
+    return 100.0 if metric.endswith("coverage") or metric in SHARES else 1.0
 
 
 def to_png(figure: Figure) -> bytes:

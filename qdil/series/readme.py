@@ -45,9 +45,13 @@ SPEEDS = (
 
 
 def results(root: Path | None = None) -> str:
-    """QD-score and coverage of the ``laptop`` runs, mean ± standard deviation over seeds: a row per method."""
+    """QD-score and coverage of the ``laptop`` runs, as claimed and corrected, and the share of elites that re-land.
+
+    A row per method, mean ± standard deviation over seeds.
+    """
     runs = tables.finished_seeds(MAIN, ROBOT, BUDGET, root or RESULTS)
-    shown = tables.summary(runs)[["QD-score", "coverage", "seeds"]]
+    metrics = ("qd_score", "corrected_qd_score", "coverage", "corrected_coverage", "relanded")
+    shown = tables.summary(runs)[[*(tables.COLUMNS[name] for name in metrics), "seeds"]]
     return markdown_table(shown.rename(index=title).rename_axis("method").reset_index(), right=shown.columns)
 
 

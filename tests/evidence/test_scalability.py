@@ -14,11 +14,14 @@ def test_ours_are_means_over_seeds_by_method_and_number(monkeypatch):
     keys = [("gail", 1), ("gail", 2), ("gail+demo_episodes=2", 1)]
     values = {"qd_score": [10.0, 30.0, 7.0], "coverage": [0.2, 0.4, 0.5], "best": [1.0, 1.0, 1.0], "average": [0.0] * 3}
     final = pd.DataFrame(values, index=pd.MultiIndex.from_tuples(keys, names=["experiment", "seed"]))
-    monkeypatch.setattr(scalability.tables, "final", lambda runs: final)
+    both = final.join((final / 2).add_prefix("corrected_"))
+    monkeypatch.setattr(scalability.tables, "final", lambda runs: both)
     table = scalability.ours({}, "walker2d", "laptop").set_index(["method", "n_demos", "metric"])
     assert table.loc[("gail", 4, "qd_score")].tolist() == [20, pytest.approx(np.sqrt(200))]
     assert table.loc[("gail", 2, "coverage"), "value"] == 0.5 and np.isnan(table.loc[("gail", 2, "best"), "spread"])
     assert len(table) == 8
+    corrected = scalability.ours({}, "walker2d", "laptop", corrected=True).set_index(["method", "n_demos", "metric"])
+    np.testing.assert_allclose(corrected.astype(float), table.astype(float) / 2)
 
 
 def test_the_papers_are_its_files_rows():

@@ -62,7 +62,7 @@ def test_the_papers_numbers_stand_beside_ours(tmp_path):
                                                   "mconbo-gail+bonus_q=1.0": [0.8]})  # fmt: skip
     names = ["gail", "airl", "mconbo-gail+demo_episodes=2", "mconbo-gail+bonus_q=1.0"]
     beside = tables.beside_paper(runs_of(tmp_path, names), "walker2d")["coverage"]
-    assert beside.loc["gail"].to_dict() == {"ours": "50.0%", "paper": "69.3 ± 2.6% (s.e.)"}
+    assert beside.loc["gail"].to_dict() == {"ours": "50.0%", "corrected": "50.0%", "paper": "69.3 ± 2.6% (s.e.)"}
     assert beside.loc["mconbo-gail+demo_episodes=2", "paper"] == "91.1 ± 0.1% (s.e.)"
     for lost in ("airl", "mconbo-gail+bonus_q=1.0"):
         assert beside.loc[lost, "paper"] == "not recoverable"
@@ -86,6 +86,18 @@ def test_the_later_versions_table_agrees_with_the_file():
         assert row["QD-score"] == f"{published[env, method, 'qd_score']:,.0f}"
         assert row["best"] == f"{published[env, method, 'best']:.0f}"
     assert list(tables.later_paper(["walker2d"], ["gail"]).index) == [("walker2d", "gail")]
+
+
+def test_both_readings_stand_side_by_side(tmp_path):
+    both = [("gail", 1, 100.0, 60.0), ("gail", 2, 120.0, 40.0)]
+    for name, seed, claimed, corrected in both:
+        write_run(tmp_path, "walker2d", name, seed, qd_score=claimed, corrected_qd_score=corrected, relanded=seed / 10)
+    runs = runs_of(tmp_path, ["gail"])
+    row = tables.summary(runs).loc["gail"]
+    assert (row["QD-score"], row["corrected QD-score"]) == ("110 ± 14", "50 ± 14")
+    assert (row["lands in own cell"], row["own or next cell"]) == ("15.0 ± 7.1%", "100.0 ± 0.0%")
+    assert list(row.index[1:3]) == ["QD-score", "corrected QD-score"]
+    assert tables.beside_paper(runs, "walker2d").loc["gail", ("QD-score", "corrected")] == "50 ± 14"
 
 
 def test_nothing_finished_gives_empty_tables(tmp_path):

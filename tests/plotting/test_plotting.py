@@ -158,6 +158,22 @@ def test_bars_show_means_deviations_and_every_seed():
     assert [tick.get_text() for tick in score.get_yticklabels()] == ["Expert", "GAIL"]
 
 
+def test_bars_show_the_corrected_reading_below_the_claimed_one():
+    claimed = final({("true", 1): 700.0, ("gail", 1): 100.0, ("gail", 2): 300.0})
+    score, coverage = plotting.bars(
+        claimed.assign(corrected_qd_score=[500.0, 10.0, 30.0]), ["qd_score", "coverage"]
+    ).axes
+    bars = [
+        (round(bar.get_y() + bar.get_height() / 2, 3), bar.get_width(), bool(bar.get_hatch())) for bar in score.patches
+    ]
+    assert bars == [(-0.2, 700, False), (0.8, 200, False), (0.2, 500, True), (1.2, 20, True)]
+    assert [bar.get_y() + bar.get_height() / 2 for bar in coverage.patches] == [0, 1]  # it has one reading
+    assert [text.get_text() for text in score.figure.legends[0].get_texts()] == [
+        "as claimed",
+        "corrected (fresh episodes)",
+    ]
+
+
 def test_grids_put_every_experiment_where_its_settings_are():
     rows = {("mconbo-gail", 1): 10.0, ("mconbo-gail", 2): 30.0, ("mconbo-gail+bonus_q=1.0", 1): 50.0,
             ("mconbo-gail+bonus_p=0.0+bonus_q=1.0", 1): 70.0}  # fmt: skip

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from qdil import plotting
+from qdil.errors import ConfigError
 from qdil.plotting import archives, comparisons, demonstrations, live, measures, ppga
 from qdil.robots import register
 
@@ -106,6 +107,51 @@ def test_the_caption_says_what_a_projection_shows(k, caption):
     [bar] = [ax for ax in plotting.archives_side_by_side({"true": made_up(k)}).axes if ax.get_label() == "<colorbar>"]
     text = bar.get_xlabel() + bar.get_ylabel()
     assert caption in text and ("best" in text) == (k > 2)
+
+
+def landed(archive, seed):
+    """An archive with fresh scores, and by hand where its elites land: {cell per measure: best mean return}."""
+    draw, cells = np.random.default_rng(seed), [int(count) for count in archive["cells"]]
+    count = len(archive["index"])
+    measures, returns = draw.uniform(size=(count, len(cells))), draw.normal(size=count)
+    best: dict[tuple[int, ...], float] = {}
+    for place, value in zip(measures, returns, strict=True):
+        cell = tuple(int(number * share) for number, share in zip(cells, place, strict=True))
+        best[cell] = max(value, best.get(cell, -np.inf))
+    return {**archive, "rescored_measures": measures, "rescored_return": returns}, best
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+@EVERY_K
+def test_archives_are_drawn_as_claimed_and_as_they_land(k, count):
+    names = ["true", "gail", "vail", "airl", "pwil"][:count]
+    made = {name: landed(made_up(k, seed=i), i) for i, name in enumerate(names)}
+    figure = plotting.both_readings({name: archive for name, (archive, _) in made.items()})
+    axes = _in_reading_order(maps(figure), k)
+    width = len(TRIANGLES[k])
+    spaces = [axes[i : i + width] for i in range(0, len(axes), width)]
+    claimed_first = k == 2 and count == 3
+    order = [(name, i) for i in (0, 1) for name in names] if claimed_first else [(n, i) for n in names for i in (0, 1)]
+    assert len(spaces) == len(order) == 2 * count
+    assert len({ax.collections[0].get_clim() for ax in axes}) == 1
+    for space, (name, reading) in zip(spaces, order, strict=True):
+        archive, best = made[name]
+        filled = len(best) if reading else len(archive["index"])
+        title = next(ax.get_title(loc="left") or ax.get_title() for ax in space)
+        assert ("as claimed", "as it lands")[reading] in title and f"{filled} of" in title
+        for ax, plane in zip(space, TRIANGLES[k], strict=True):
+            expected = best_by_loop(archive, plane)
+            if reading:
+                expected = {}
+                for cell, value in best.items():
+                    seen = tuple(cell[axis] for axis in plane)
+                    expected[seen] = max(value, expected.get(seen, -np.inf))
+            assert drawn_cells(ax, plane) == pytest.approx(expected)
+
+
+def test_an_archive_without_fresh_scores_has_no_second_reading():
+    with pytest.raises(ConfigError, match="not scored again"):
+        plotting.both_readings({"true": made_up(2)})
 
 
 def test_archives_of_different_robots_are_not_drawn_side_by_side():
