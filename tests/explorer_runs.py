@@ -52,14 +52,23 @@ def write(
     side: int = CELLS,
     env: str = "walker2d",
     k: int = 2,
+    landing: list[int] | None = None,
 ) -> Path:
-    """A finished run in ``folder`` as ``qdil train`` would have left it."""
+    """A finished run in ``folder`` as ``qdil train`` would have left it.
+
+    ``landing``: the cells where its elites land on fresh episodes, each with a return lower by 10 for every elite
+    before it; None: they were not scored again.
+    """
     folder.mkdir(parents=True)
     settings = to_json(make_config(env, method, "smoke", 1))
     settings |= {"actor_hidden": [8, 8], "episode_length": 60}
     (folder / "config.json").write_text(json.dumps(settings))
     (folder / "manifest.json").write_text("{}")
     kept = archive(cells, seed, side, k)
+    if landing is not None:
+        measures = (np.stack(np.unravel_index(landing, [side] * k), axis=1) + 0.5) / side
+        returns = 300.0 - 10 * np.arange(len(landing))
+        kept |= {"rescored_measures": measures.astype(np.float32), "rescored_return": returns.astype(np.float32)}
     np.savez(folder / "archive.npz", **kept)
     if with_policies:
         np.savez(folder / "policies.npz", index=kept["index"], **policies(len(cells), env, seed=seed))

@@ -21,7 +21,7 @@ def keep(folder: Path, root: Path = FOLDER) -> Path:
     """
     config, archive = read_config(folder), read_archive(folder, policies=True)
     target = root / config["env"] / config["method"] / f"seed-{config['seed']}"
-    write_npz(target / "archive.npz", **{name: archive[name] for name in showing.NEEDED})
+    write_npz(target / "archive.npz", **{n: archive[n] for n in (*showing.NEEDED, *showing.FRESH) if n in archive})
     policies = {name: archive[name] for name in ("index", "obs_mean", "obs_std")}
     write_npz(target / "policies.npz", **policies, solution=archive["solution"].astype(np.float16))
     write_json(target / "config.json", config)

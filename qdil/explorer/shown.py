@@ -14,12 +14,14 @@ from qdil.explorer.projection import axes_choices, best_rows
 from qdil.explorer.rollouts import Rollout
 from qdil.imitation.demos import farthest_points, top_fifth
 from qdil.names import title
+from qdil.qd import landing
 from qdil.rl.evaluate import Policies
 from qdil.robots import brax_robots, register, shapes
 from qdil.runs.folder import demos_name, read_archive, read_config
 
 NEEDED = ("index", "measures", "fitness", "true_return", "length", "cells")
 POLICY = ("solution", "obs_mean", "obs_std")
+FRESH = ("rescored_return", "rescored_measures")
 Archive = Mapping[str, Any]
 Runs = str | Path | Archive | Sequence[Any] | Mapping[str, Any]
 
@@ -211,7 +213,20 @@ def _run_content(shown: Shown, feet: list[str]) -> dict[str, Any]:
         "plays": shown.plays,
         "why": shown.why,
         "history": _history_content(shown.history),
+        "fresh": _fresh_content(archive),
     }
+
+
+def _fresh_content(archive: Archive) -> dict[str, Any] | None:
+    """Mean returns over fresh episodes and the cells where elites land; None if they were not scored again.
+
+    An elite without a finite score has return None and lands in ``landing.ELSEWHERE``.
+    """
+    if not all(name in archive for name in FRESH):
+        return None
+    cells = landing.landing_cells(archive)
+    returns = [value if np.isfinite(value) else None for value in _rounded(archive["rescored_return"])]
+    return {"true_return": returns, "cell": [int(cell) for cell in cells]}
 
 
 def _history_content(history: Mapping[str, np.ndarray] | None) -> dict[str, Any] | None:

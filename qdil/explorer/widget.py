@@ -21,7 +21,12 @@ from qdil.explorer.page import STATIC, description
 from qdil.explorer.picture import sketch
 from qdil.explorer.shown import Shown
 
-FIELDS = {"True return": "true_return", "Learned fitness": "fitness", "Learned fitness − true return": "difference"}
+FIELDS = {
+    "True return": "true_return",
+    "Learned fitness": "fitness",
+    "Learned fitness − true return": "difference",
+    "Return on fresh episodes, where it lands": "landed",
+}
 MOST = 4  # robots side by side
 PICTURES = 200  # the most that the play button shows of a run; the same number as in the front end
 KEPT = 512  # packed rollouts that a widget remembers, a few kilobytes each
@@ -118,7 +123,9 @@ class Explorer(ipywidgets.VBox):
         self.view = View(runs, state)
         names = [shown.name for shown in runs]
         self.run_menu = ipywidgets.Dropdown(options=_numbered(names), value=self.view.run, description="Run")
-        self.field_menu = ipywidgets.Dropdown(options=list(FIELDS.items()), value=self.view.field, description="Colour")
+        scored_again = any(run["fresh"] for run in self.view.show["runs"])
+        fields = [(text, field) for text, field in FIELDS.items() if field != "landed" or scored_again]
+        self.field_menu = ipywidgets.Dropdown(options=fields, value=self.view.field, description="Colour")
         against = [("nothing", -1), *_numbered(names)]
         self.against_menu = ipywidgets.Dropdown(options=against, value=self.view.against, description="Minus")
         menus: list[Any] = [self.run_menu, self.field_menu, self.against_menu] if len(names) > 1 else [self.field_menu]

@@ -142,6 +142,18 @@ def test_marks_are_those_of_the_expert_and_the_demonstrations(tmp_path):
     np.testing.assert_allclose([one["demonstrators"] for one in runs], [places, places], atol=1e-4)
 
 
+def test_fresh_scores_reach_the_page_as_plain_numbers(tmp_path):
+    again = explorer_runs.write(tmp_path / "again", [0, 6, 12], landing=[7, 7, 12])
+    [run] = shown.content(shown.read(again))["runs"]
+    assert run["fresh"] == {"true_return": [300, 290, 280], "cell": [7, 7, 12]}
+    archive = dict(np.load(again / "archive.npz"))
+    archive["rescored_return"][1] = np.nan  # its physics diverged in every episode
+    [run] = shown.content(shown.read(archive))["runs"]
+    assert run["fresh"] == {"true_return": [300, None, 280], "cell": [7, -1, 12]}
+    [run] = shown.content(shown.read(explorer_runs.archive([0, 6, 12])))["runs"]
+    assert run["fresh"] is None
+
+
 def test_spread_out_cells_begin_with_the_best_and_are_all_different(folder):
     one = shown.read(folder)[0]
     assert shown.spread_out(one, 3)[:2] == [23, 0]  # the best, then the farthest corner
@@ -257,6 +269,12 @@ def test_the_showcase_keeps_a_run_that_still_walks(folder, tmp_path):
     before, after = (shown.roll_out(shown.read(path)[0], [6])[0] for path in (folder, target))
     assert (target / "policies.npz").stat().st_size < 0.7 * (folder / "policies.npz").stat().st_size
     np.testing.assert_allclose(after.position[:10], before.position[:10], atol=0.01)
+
+
+def test_the_showcase_keeps_fresh_scores(tmp_path):
+    again = explorer_runs.write(tmp_path / "run", [0, 6, 12], landing=[7, 7, 12])
+    kept = showcase.keep(again, tmp_path / "kept")
+    assert [shown.content(shown.read(path))["runs"][0]["fresh"]["cell"] for path in (again, kept)] == [[7, 7, 12]] * 2
 
 
 def test_comparison_counts_cells_and_gaps_by_hand():

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qdil.explorer import drawing, projection
+from qdil.explorer.shown import Shown, content
 
 pytest_plugins = ["explorer_browser"]
 DIMS = {1: [7], 2: [4, 3], 3: [3, 4, 2], 4: [3, 2, 4, 2]}
@@ -158,6 +159,59 @@ def test_maps_of_any_iteration_and_their_differences_are_those_of_a_loop(browser
             values, high = page.evaluate(draw, [runs, axes, 1, iteration])
             np.testing.assert_array_equal(np.array(values, float), gaps[iteration])
             assert high == np.nanmax(np.abs(gaps))
+    page.close()
+
+
+def scored_again(archive, k, seed):
+    """The archive with fresh scores: whole-numbered returns, so that several are equal; one elite without any."""
+    draw, count = np.random.default_rng(seed + 100), len(archive["index"])
+    returns, measures = draw.integers(0, 4, count).astype(float), draw.random((count, k))
+    returns[count // 2] = np.nan
+    return {**archive, "rescored_return": returns, "rescored_measures": measures}
+
+
+def landing_by_hand(archive, axes):
+    """Square -> (mean return, cell that it won) of the best elite that lands there on fresh episodes."""
+    best: dict[int, tuple[float, int]] = {}
+    for row, (value, place) in enumerate(zip(archive["rescored_return"], archive["rescored_measures"], strict=True)):
+        if np.isfinite(value):
+            along = [int(archive["cells"][axis] * place[axis]) for axis in axes]
+            square = int(np.ravel_multi_index(along, [archive["cells"][axis] for axis in axes]))
+            landing = int(np.ravel_multi_index((archive["cells"] * place).astype(int), archive["cells"]))
+            rank = (value, -landing, -row)
+            if square not in best or rank > best[square][1]:
+                best[square] = (int(archive["index"][row]), rank)
+    return {square: (rank[0], cell) for square, (cell, rank) in best.items()}
+
+
+@pytest.mark.physics
+@needs_browser
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_the_front_end_puts_elites_where_they_land(browser, k):
+    archives = [scored_again(some_archive(k, seed), k, seed) for seed in (3, 4)]
+    runs = content([Shown("run", None, one, np.zeros((0, 0)), None, "no policies") for one in archives])["runs"]
+    page = browser.new_page()
+    script(page, "cellOf, picture, squareShown", "projection.js", "data.js")
+    draw = """([runs, axes, against]) => {
+      const drawn = q.picture(runs, { run: 0, against, field: "landed", iteration: 2, axes });
+      return {
+        values: [...drawn.values].map((value) => (isNaN(value) ? null : value)),
+        cells: [...drawn.values].map((_, square) => q.cellOf(runs[0], axes, square, "landed")),
+        places: runs[0].index.map((cell) => q.squareShown(runs[0], axes, cell, "landed")), high: drawn.high,
+      };
+    }"""
+    for axes in all_axes(k):
+        by_run = [landing_by_hand(archive, axes) for archive in archives]
+        drawn = page.evaluate(draw, [runs, axes, -1])
+        seen = list(zip(drawn["values"], drawn["cells"], strict=True))
+        assert {square: one for square, one in enumerate(seen) if one[0] is not None} == by_run[0]
+        assert {cell for value, cell in seen if value is None} <= {-1}
+        for square, (_, cell) in by_run[0].items():
+            assert drawn["places"][archives[0]["index"].tolist().index(cell)] == square
+        gaps = {s: by_run[0][s][0] - by_run[1][s][0] for s in by_run[0].keys() & by_run[1].keys()}
+        minus = page.evaluate(draw, [runs, axes, 1])
+        assert {i: v for i, v in enumerate(minus["values"]) if v is not None} == gaps
+        assert minus["high"] == (max(map(abs, gaps.values()), default=0) or 1)
     page.close()
 
 

@@ -111,6 +111,37 @@ def test_two_histories_are_compared_at_one_time_on_one_scale(opened, runs):
     assert pictures[3] == [[60, 70], 70]  # the other kept no history: both at their end
 
 
+def test_a_colour_shows_elites_where_they_land_on_fresh_episodes(opened, runs, tmp_path):
+    """Elites of cells 0, 6 and 22: the first two land in cell 7, where the first is better, the third in its own."""
+    path = explorer_runs.write(tmp_path / "again", [0, 6, 22], landing=[7, 7, 22])
+    watched = opened(qdil.explore([path, runs["gail"]], live=False))
+    page = watched.page
+    page.locator(".qdil-menus select").nth(1).select_option("landed")
+    caption, status = page.locator(".qdil-left .qdil-caption"), page.locator(".qdil-status")
+    assert page.locator(".qdil-title").inner_text() == "Return on fresh episodes, where it lands: Expert"
+    assert "Expert: 1 of 3 elites land in their own cell." in caption.inner_text()
+    click(page, 7)
+    wait_for(page, "plays")
+    assert cells(page) == [(0, 0)]
+    assert "On fresh episodes: return 300.0, lands in column 2, row 3." in status.inner_text()
+    click(page, 0)  # its elite lands elsewhere, and nobody lands here
+    assert cells(page) == [(0, 0)]
+    page.keyboard.press("ArrowRight")  # from column 2, row 3 over empty squares to column 5, row 3
+    assert cells(page) == [(0, 22)] and "lands in its own cell" in status.inner_text()
+    page.keyboard.press("ArrowUp")  # nothing above
+    assert cells(page) == [(0, 22)]
+    page.locator(".qdil-menus select").nth(0).select_option("1")
+    assert "GAIL did not score its elites again." in caption.inner_text()
+    watched.is_clean()
+
+
+def test_a_run_without_fresh_scores_offers_no_such_colour(opened, runs):
+    page = opened(qdil.explore(runs["true"], live=False)).page
+    assert "landed" not in page.locator(".qdil-menus option").evaluate_all("all => all.map((one) => one.value)")
+    click(page, 6)
+    assert "fresh" not in page.locator(".qdil-status").inner_text()
+
+
 def test_a_page_says_what_kept_no_history_and_replays_what_did(opened, runs, tmp_path):
     path = explorer_runs.write(tmp_path / "remembers", [6, 12], "gail")
     explorer_runs.write_history(path, [1, 4, 9], [6, 12, 12], last=10)

@@ -1,12 +1,16 @@
 // What the pictures are drawn from: a run's values by square of the map, at any iteration, compared with another run.
 
-import { emptyMap, firstCell, mapSize } from "./projection.js";
+import { emptyMap, firstCell, mapSize, squareOf } from "./projection.js";
 
 export const FIELDS = {
   true_return: { name: "True return", unit: "reward units per episode" },
   fitness: { name: "Learned fitness", unit: "reward units per episode" },
   difference: { name: "Learned fitness − true return", unit: "reward units per episode" },
+  landed: { name: "Return on fresh episodes, where it lands", unit: "reward units per episode, mean over fresh episodes" },
 };
+
+/** The fields that these runs can show: where elites land is known only of runs that scored them again. */
+export const fieldsOf = (runs) => Object.entries(FIELDS).filter(([key]) => key !== "landed" || runs.some((run) => run.fresh));
 
 // Values computed once for an object that does not change: every move of the pointer over the map reads them.
 const remembered = new WeakMap();
@@ -23,7 +27,27 @@ export function rowOf(run, cell) {
   return once(run, "rows", () => new Map(run.index.map((one, row) => [one, row]))).get(cell) ?? -1;
 }
 
+/**
+ * A run's elites in the cells where they land on fresh episodes: {index: those cells, true_return: mean returns, row: rows
+ * of the run}. Of elites that land in one cell, the best comes last; of equal ones, the first of the run.
+ */
+function landed(run) {
+  return once(run, "landed", () => {
+    const { cell, true_return } = run.fresh ?? { cell: [], true_return: [] };
+    const rows = cell.map((_, row) => row).filter((row) => cell[row] >= 0);
+    rows.sort((a, b) => true_return[a] - true_return[b] || b - a);
+    return { index: rows.map((row) => cell[row]), true_return: rows.map((row) => true_return[row]), row: rows };
+  });
+}
+
+/** What a field's map is made of: a run's elites at its end, their history, or the elites where they land. */
+function elitesOf(run, field, iteration) {
+  if (field === "landed") return landed(run);
+  return iteration >= 0 && run.history ? run.history : run;
+}
+
 function valueOf(elites, field, i) {
+  if (field === "landed") return elites.true_return[i];
   return field === "difference" ? elites.fitness[i] - elites.true_return[i] : elites[field][i];
 }
 
@@ -40,41 +64,58 @@ export function forgetful(runs, state) {
   return [runs[state.run], ...(other ? [other] : [])].filter((run) => !run.history);
 }
 
-/** The iteration that the map shows; −1 is the end, also where a shown run has no history. */
+/** The iteration that the map shows; −1 is the end, also where a shown run has no history. Elites land at the end alone. */
 export function iterationShown(runs, state) {
-  return forgetful(runs, state).length ? -1 : state.iteration;
+  return state.field === "landed" || forgetful(runs, state).length ? -1 : state.iteration;
 }
 
-/** The rows of the best elites by square, −1 where a square is empty; rows of `history` after `iteration`, or of `run`. */
-function bestRows(run, axes, iteration) {
-  const past = iteration >= 0 && run.history;
-  const elites = past ? run.history : run;
+/** The rows of the best elites by square, −1 where a square is empty; rows of `elitesOf`. */
+function bestRows(run, field, axes, iteration) {
+  const elites = elitesOf(run, field, iteration);
+  const past = elites === run.history;
   const fill = () => {
     const map = emptyMap(run.cells, axes, elites);
     for (let row = 0; row < elites.index.length && !(past && elites.iteration[row] > iteration); row++) map.take(row);
     const [columns, lines] = mapSize(run.cells, axes);
     return Int32Array.from({ length: columns * lines }, (_, square) => map.best(square));
   };
-  return past ? fill() : once(run, `best ${axes}`, fill);
+  return past ? fill() : once(elites, `best ${axes}`, fill);
 }
 
-/** The cell that a square stands for: that of its best elite at the run's end; where it is empty, its first cell. */
-export function cellOf(run, axes, square) {
-  const row = bestRows(run, axes, -1)[square];
+/**
+ * The cell that a square of a field's map stands for: that of its best elite at the run's end; where it is empty, its
+ * first cell. Where elites land, it is the cell that the elite won, and −1 where none lands.
+ */
+export function cellOf(run, axes, square, field) {
+  const row = bestRows(run, field, axes, -1)[square];
+  if (field === "landed") return row < 0 ? -1 : run.index[landed(run).row[row]];
   return row < 0 ? firstCell(run.cells, axes, square) : run.index[row];
+}
+
+/** The cell where the elite of a cell lands on fresh episodes; −1 if that is not known. */
+export function landingOf(run, cell) {
+  const row = rowOf(run, cell);
+  return row >= 0 && run.fresh ? run.fresh.cell[row] : -1;
+}
+
+/** The square where a field's map shows the elite of a cell. */
+export function squareShown(run, axes, cell, field) {
+  const landing = field === "landed" ? landingOf(run, cell) : -1;
+  return squareOf(run.cells, axes, landing < 0 ? cell : landing);
 }
 
 /** A run's `field` by square after `iteration`; at the run's end for −1 and for a run without a history. */
 export function values(run, field, iteration, axes) {
-  const elites = iteration >= 0 && run.history ? run.history : run;
-  return Float64Array.from(bestRows(run, axes, iteration), (row) => (row < 0 ? NaN : valueOf(elites, field, row)));
+  const elites = elitesOf(run, field, iteration);
+  return Float64Array.from(bestRows(run, field, axes, iteration), (row) => (row < 0 ? NaN : valueOf(elites, field, row)));
 }
 
 /** One pair of bounds for all runs, iterations and axes, so that a colour means the same in each. */
 export function bounds(runs, field) {
   return once(runs, field, () => {
     let low = Infinity, high = -Infinity;
-    for (const elites of runs.flatMap((run) => (run.history ? [run, run.history] : [run]))) {
+    const shown = (run) => (field === "landed" ? [run, landed(run)] : run.history ? [run, run.history] : [run]);
+    for (const elites of runs.flatMap(shown)) {
       elites.index.forEach((_, row) => {
         const value = valueOf(elites, field, row);
         if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
@@ -91,7 +132,7 @@ function widest(a, b, field, axes) {
   const [ofA, ofB] = [values(a, field, -1, axes), values(b, field, -1, axes)];
   const larger = (most, gap) => (Math.abs(gap) > most ? Math.abs(gap) : most); // false for NaN
   let most = ofA.reduce((best, value, square) => larger(best, value - ofB[square]), 0);
-  if (a.history && b.history) {
+  if (field !== "landed" && a.history && b.history) {
     const events = [a, b].flatMap(({ history }, side) => history.index.map((_, row) => ({
       side, row, when: history.iteration[row],
     })));

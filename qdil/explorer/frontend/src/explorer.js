@@ -1,12 +1,11 @@
 // The explorer: heatmap, robots, gait diagram and controls around one clock and one small state.
 
-import { number, picture, rival, rowOf } from "./data.js";
+import { cellOf, number, picture, rival, rowOf, squareShown } from "./data.js";
 import { duration, stepAt } from "./decode.js";
 import { flatStage } from "./flat.js";
 import { cameraHands, mapHands, timeHands } from "./hands.js";
 import { heatmap } from "./heatmap.js";
 import { build, colours } from "./layout.js";
-import { squareOf } from "./projection.js";
 import { recordings } from "./recordings.js";
 import { selection } from "./selection.js";
 import { stage, startView, tilePlace } from "./stage.js";
@@ -67,19 +66,24 @@ export function explorer(el, host) {
     const run = runs[current.run];
     const few = show.playable && show.playable[current.run];
     map.draw(picture(runs, current), run, current.axes, {
-      ...colours(ui.root), hover, cursor: cursor(), compares: rival(runs, current) !== null,
-      playable: few && few.length < run.index.length ? few : null,
+      ...colours(ui.root), field: current.field, hover, cursor: cursor(), compares: rival(runs, current) !== null,
+      playable: few && few.length < run.index.length ? few.filter((cell) => isShown(run, current, cell)) : null,
       selected: names(run, current),
     });
     ui.title.textContent = titleOf(runs, current);
     ui.caption.textContent = captionOf(runs, current, few);
   }
 
+  /** Does a click on the map choose this cell? Where elites land, another one may cover it. */
+  function isShown(run, { axes, field }, cell) {
+    return field !== "landed" || cellOf(run, axes, squareShown(run, axes, cell, field), field) === cell;
+  }
+
   /** The map's run's robots: [cell, letter]; those in one square share it, with all their letters. */
-  function names(run, { run: number, axes }) {
+  function names(run, { run: number, axes, field }) {
     const squares = new Map();
     for (const tile of tiles().filter((tile) => tile.run === number)) {
-      const square = squareOf(run.cells, axes, tile.cell);
+      const square = squareShown(run, axes, tile.cell, field);
       squares.set(square, [tile.cell, (squares.get(square)?.[1] ?? "") + tile.name]);
     }
     return [...squares.values()];

@@ -3,24 +3,24 @@
 
 import { prepare } from "./canvas.js";
 import { diverging, sequential } from "./colours.js";
-import { cellOf, number } from "./data.js";
-import { mapSize, squareOf } from "./projection.js";
+import { cellOf, number, squareShown } from "./data.js";
+import { mapSize } from "./projection.js";
 
 const LEFT = 50, BOTTOM = 46, TOP = 10, BAR = 74;
 const STRIP = 110; // pixels, the height of a strip: room to click, and for the colour bar's numbers
 
 export function heatmap(canvas) {
   let area = { x: LEFT, y: TOP, width: 100, height: 100 };
-  let drawn = null; // {run, axes} of the last drawing
+  let drawn = null; // {run, axes, field} of the last drawing
   let [columns, lines] = [1, 1];
 
-  /** The cell that the square under the pointer stands for; −1 beside the map. */
+  /** The cell that the square under the pointer stands for; −1 beside the map, and where no elite lands. */
   function cellAt(event) {
     const box = canvas.getBoundingClientRect();
     const i = Math.floor(((event.clientX - box.left - area.x) / area.width) * columns);
     const j = Math.floor((1 - (event.clientY - box.top - area.y) / area.height) * lines);
     const isInside = drawn && i >= 0 && j >= 0 && i < columns && j < lines;
-    return isInside ? cellOf(drawn.run, drawn.axes, i * lines + j) : -1;
+    return isInside ? cellOf(drawn.run, drawn.axes, i * lines + j, drawn.field) : -1;
   }
 
   /** Screen rectangle of a square: [x, y, width, height]. */
@@ -30,11 +30,11 @@ export function heatmap(canvas) {
     return [area.x + i * w, area.y + area.height - (j + 1) * h, w, h];
   }
 
-  /** Screen rectangle of the square that holds a cell. */
-  const place = (cell) => rectangle(squareOf(drawn.run.cells, drawn.axes, cell));
+  /** Screen rectangle of the square that shows a cell's elite. */
+  const place = (cell) => rectangle(squareShown(drawn.run, drawn.axes, cell, drawn.field));
 
   function draw(picture, run, axes, style) {
-    drawn = { run, axes };
+    drawn = { run, axes, field: style.field };
     [columns, lines] = mapSize(run.cells, axes);
     const { g, width, height } = prepare(canvas);
     const size = Math.max(40, Math.min(width - LEFT - BAR, height - TOP - BOTTOM));

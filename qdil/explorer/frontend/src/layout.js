@@ -1,6 +1,6 @@
 // The explorer's HTML elements, by name, without behaviour.
 
-import { FIELDS, lastIteration } from "./data.js";
+import { fieldsOf, lastIteration } from "./data.js";
 import { replay } from "./replay.js";
 
 function make(tag, properties = {}, ...children) {
@@ -82,7 +82,7 @@ build.menus = (ui, show, withMenus) => {
   const { runs } = show;
   const menu = {
     run: make("select", {}, ...runs.map((run, i) => option(i, run.name))),
-    field: make("select", {}, ...Object.entries(FIELDS).map(([key, { name }]) => option(key, name))),
+    field: make("select", {}, ...fieldsOf(runs).map(([key, { name }]) => option(key, name))),
     against: make("select", {}, option(-1, "nothing"), ...runs.map((run, i) => option(i, run.name))),
     iteration: make("input", { type: "range", min: 0, max: lastIteration(runs), step: 1 }),
   };

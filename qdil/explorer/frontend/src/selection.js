@@ -1,7 +1,7 @@
 // The chosen cells, up to four, and the cell where the keyboard stands.
 
-import { cellOf, comparable } from "./data.js";
-import { cellNumber, coordinates, mapSize, squareOf } from "./projection.js";
+import { cellOf, comparable, squareShown } from "./data.js";
+import { cellNumber, coordinates, mapSize } from "./projection.js";
 
 const MOST = 4; // robots side by side
 
@@ -37,16 +37,24 @@ export function selection(host, runs, changed) {
     changed(next !== chosen);
   }
 
-  /** A key's step of `across` columns and `up` rows of the map; the first one goes to the best cell. */
+  /**
+   * A key's step of `across` columns and `up` rows of the map; the first one goes to the best cell. Squares that stand
+   * for no cell are passed over; with none beyond them, the choice stays.
+   */
   function move([across, up], how) {
-    const [run, axes] = [runs[host.get("run")], host.get("axes")];
+    const [run, axes, field] = [runs[host.get("run")], host.get("axes"), host.get("field")];
     const [columns, lines] = mapSize(run.cells, axes);
     const at = here();
     if (at < 0) return choose(run.best, how);
-    const square = squareOf(run.cells, axes, at);
-    const i = Math.min(Math.max(Math.floor(square / lines) + across, 0), columns - 1);
-    const j = Math.min(Math.max((square % lines) + up, 0), lines - 1);
-    choose(cellOf(run, axes, i * lines + j), how);
+    const square = squareShown(run, axes, at, field);
+    const within = (place, size) => Math.min(Math.max(place, 0), size - 1);
+    let next = square, last;
+    do {
+      last = next;
+      next = within(Math.floor(last / lines) + across, columns) * lines + within((last % lines) + up, lines);
+    } while (next !== last && cellOf(run, axes, next, field) < 0);
+    const cell = cellOf(run, axes, next, field);
+    choose(cell < 0 ? at : cell, how);
   }
 
   return { selected, here, choose, move };

@@ -1,6 +1,6 @@
 // The explorer's sentences: everything that colours and pictures show, in words.
 
-import { cellOf, FIELDS, forgetful, iterationShown, number, rival, rowOf, values } from "./data.js";
+import { cellOf, FIELDS, forgetful, iterationShown, landingOf, number, rival, rowOf, squareShown, values } from "./data.js";
 import { mapSize, squareOf } from "./projection.js";
 
 /** Where a cell lies on the map. */
@@ -9,6 +9,14 @@ function place(run, axes, cell) {
   const square = squareOf(run.cells, axes, cell);
   const column = `column ${Math.floor(square / lines) + 1}`;
   return axes.length > 1 ? `${column}, row ${(square % lines) + 1}` : column;
+}
+
+/** What a run's elite of `row` does on fresh episodes; empty if it was not scored again. */
+function onFreshEpisodes(run, axes, cell, row) {
+  if (!run.fresh) return "";
+  const landing = landingOf(run, cell);
+  const where = landing < 0 ? "no finite score" : landing === cell ? "lands in its own cell" : `lands in ${place(run, axes, landing)}`;
+  return ` On fresh episodes: return ${number(run.fresh.true_return[row] ?? NaN)}, ${where}.`;
 }
 
 /** What the archive holds in a cell: all k measures, returns, length. */
@@ -20,19 +28,20 @@ export function describe(run, axes, cell) {
   return (
     `Cell at ${place(run, axes, cell)}: ${feet.join(", ")}; ` +
     `true return ${number(run.true_return[row])}, learned fitness ${number(run.fitness[row])}, ` +
-    `episode of ${run.length[row].toFixed(0)} steps.`
+    `episode of ${run.length[row].toFixed(0)} steps.` +
+    onFreshEpisodes(run, axes, cell, row)
   );
 }
 
 /** The text beside the pointer: the cell in the map's run and in the run that is subtracted. */
 export function tipOf(runs, state, cell) {
   const [run, other, iteration] = [runs[state.run], rival(runs, state), iterationShown(runs, state)];
-  const square = squareOf(run.cells, state.axes, cell);
+  const square = squareShown(run, state.axes, cell, state.field);
   const then = (one) => number(values(one, state.field, iteration, state.axes)[square]);
   const before = other ? `${run.name} ${then(run)}, ${other.name} ${then(other)}` : then(run);
   const text = (iteration < 0 ? "" : `After iteration ${iteration}: ${before}. At the end: `) + describe(run, state.axes, cell);
   if (!other) return text;
-  const row = rowOf(other, cellOf(other, state.axes, square));
+  const row = rowOf(other, cellOf(other, state.axes, square, state.field));
   return `${text} ${other.name}: ${row < 0 ? "empty" : `true return ${number(other.true_return[row])}`}.`;
 }
 
@@ -63,10 +72,11 @@ export function captionOf(runs, state, few) {
   const [run, other] = [runs[state.run], rival(runs, state)];
   const above = `; orange where ${run.name} is higher, blue where ${other?.name} is, + filled in the former alone, − in the latter alone`;
   const sentences = [`Colour: ${FIELDS[state.field].unit}${other ? above : ""}. Hatched: empty.`];
-  if (run.cells.length > state.axes.length) {
+  if (run.cells.length > state.axes.length && state.field !== "landed") {
     const others = run.feet.filter((_, axis) => !state.axes.includes(axis)).join(", ");
     sentences.push(`Each square shows the best elite, by true return, over the other feet (${others}).`);
   }
+  if (state.field === "landed") sentences.push(...landing([run, ...(other ? [other] : [])]));
   if (state.against >= 0 && state.against !== state.run && !other) {
     sentences.push(`${runs[state.against].name} has another grid, so it is not subtracted.`);
   }
@@ -77,7 +87,17 @@ export function captionOf(runs, state, few) {
   return sentences.join(" ");
 }
 
+function landing(shown) {
+  const shares = shown.map((run) => {
+    if (!run.fresh) return `${run.name} did not score its elites again.`;
+    const home = run.index.filter((cell, row) => run.fresh.cell[row] === cell).length;
+    return `${run.name}: ${home} of ${run.index.length} elites land in their own cell.`;
+  });
+  return ["Each square shows the best of the elites that land in it.", ...shares];
+}
+
 function history(runs, state, other) {
+  if (state.field === "landed") return [];
   const without = forgetful(runs, state);
   if (!without.length) return iterationShown(runs, state) < 0 ? [] : ["Robots and their numbers are those of the run's end."];
   const who = without.length === 2 ? "These runs" : other ? without[0].name : "This run";
