@@ -291,6 +291,13 @@ def test_comparison_counts_cells_and_gaps_by_hand():
     table = compare.with_first({"a": first, "b": other})
     assert table.loc["a"].tolist() == [3, 0, 0, 0]
     assert table.loc["b"].tolist() == [3, 1, 50, 0.5]
+    again = {
+        "rescored_return": np.ones(3),
+        "rescored_measures": np.array([[0.5], [0.9], [0.9]]),
+        "cells": np.array([6]),
+    }
+    table = compare.with_first({"a": first, "b": {**other, **again}})  # its elites land in cells 3, 5 and 5
+    assert np.isnan(table.loc["a", "land in own cell (%)"]) and table.loc["b", "land in own cell (%)"] == 33
     assert compare.rank_correlation({"a": first, "b": other}).tolist() == [-1, 1]
 
 
