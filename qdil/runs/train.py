@@ -84,11 +84,13 @@ def _train(
         write_json(folder / "config.json", to_json(config))
     saver = _Saver(folder, sha256(demos_file) if demos_file else None, save_seconds)
     search, position = _iterations(search, saver, process, report)
+    began = time.monotonic()
     rescored = ppga.reevaluate(search, jax.random.fold_in(jax.random.key(config.seed), 1))
     if hosts.is_first():
         _write_archive(search, rescored, folder)
         _write_history(position.history, config.ppga.iterations, folder)
-        manifest.write(search, folder, position.processes, position.seconds, demos_file)
+        seconds = position.seconds + time.monotonic() - began
+        manifest.write(search, folder, position.processes, seconds, demos_file)
         checkpoint.remove(folder)
 
 
