@@ -105,6 +105,7 @@ BEFORE = {
     "diffail_loss": "probability",
     "diffail_reward": "row",
     "demo_attempts": 1,
+    "rescore_episodes": 1,  # one round of ``episodes``
 }
 
 OLD_VALUES = {("bonus_scope", "window"): "rollout"}  # values that earlier versions wrote into ``config.json``

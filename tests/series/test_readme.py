@@ -85,7 +85,21 @@ def test_the_results_are_those_of_the_runs_last_iterations(kept):
         last = [pd.read_csv(file).iloc[-1] for file in (kept / "laptop/walker2d" / method).glob("seed-*/metrics.csv")]
         scores, coverage = ([run[name] for run in last] for name in ("qd_score", "coverage"))
         assert row[0] == f"{np.mean(scores):,.0f} ± {np.std(scores, ddof=1):,.0f}"
-        assert row[1].startswith(f"{100 * np.mean(coverage):.1f} ±") and row[2] == str(len(last))
+        assert row[2].startswith(f"{100 * np.mean(coverage):.1f} ±") and row[-1] == str(len(last))
+        landed = [returns_by_landing(file) for file in (kept / "laptop/walker2d" / method).glob("seed-*/archive.npz")]
+        scores = [sum(best.values()) for best in landed]
+        assert row[1] == f"{np.mean(scores):,.0f} ± {np.std(scores, ddof=1):,.0f}"
+        assert row[3].startswith(f"{100 * np.mean([len(best) / 400 for best in landed]):.1f} ±")
+
+
+def returns_by_landing(file: Path) -> dict[tuple[int, ...], float]:
+    """The best mean return of the elites that land in each cell of a 20 × 20 archive on fresh episodes."""
+    best: dict[tuple[int, ...], float] = {}
+    with np.load(file) as archive:
+        for place, value in zip(archive["rescored_measures"], archive["rescored_return"], strict=True):
+            cell = tuple(min(19, int(20 * float(share) + 1e-4)) for share in place)
+            best[cell] = max(float(value), best.get(cell, -np.inf))
+    return best
 
 
 @pytest.mark.parametrize("env", ["walker2d", "halfcheetah"])
