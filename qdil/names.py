@@ -32,5 +32,5 @@ def _setting(text: str) -> str:
     if name == "demo_episodes":
         return f"{value} demonstration{'' if value == '1' else 's'}"
     if name == "protocol":
-        return f"all {value} choices"
+        return f"{value} protocol"
     return f"{SETTINGS.get(name, name.replace('_', ' '))} = {value}"

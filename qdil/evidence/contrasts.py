@@ -1,12 +1,13 @@
 """The effect of a change on a method's final metrics, in percent of the unchanged method, with intervals."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from qdil.evidence import paper, stats, tables
+from qdil.evidence import arms, paper, tables
+from qdil.evidence.readings import READINGS
+from qdil.evidence.stats import Interval
 
 COLUMNS = ["metric", "difference", "low", "high", "seeds"]
 TITLES = {key: tables.COLUMNS[key] for key in paper.METRICS}
@@ -17,25 +18,25 @@ def effects(runs: tables.Runs, pairs: Mapping[str, tuple[str, str]]) -> pd.DataF
 
     ``pairs`` are (changed, unchanged) experiments by the name of the change; a pair without runs of both is left out.
     Index: those names. Columns: ``metric`` (its title), ``difference``, ``low`` and ``high`` in percent (the ends of a
-    95 % bootstrap interval over seeds, not-a-number if an arm has fewer than two), ``seeds`` of both, as a text.
+    95 % interval as in verdicts: see ``arms.difference``; not-a-number if fewer than two seeds can be compared),
+    ``seeds``, a text.
     """
-    values = tables.final({name: runs[name] for pair in pairs.values() for name in pair if name in runs})
     rows, names = [], []
     for name, pair in pairs.items():
         if any(experiment not in runs for experiment in pair):
             continue
-        arms = [values.xs(experiment, level="experiment") for experiment in pair]
         for key, title in TITLES.items():
-            found = stats.contrast([arm[key].to_numpy() for arm in arms], _percent_above)
-            rows.append([title, *found, f"{len(arms[0])} / {len(arms[1])}"])
+            found = arms.difference(*(arms.read(runs[experiment], READINGS[key]) for experiment in pair))
+            rows.append([title, *_percent(found), arms.seeds_text(found.seeds(), found.paired)])
             names.append(name)
     return pd.DataFrame(rows, columns=COLUMNS, index=pd.Index(names, name="change"))
 
 
-def _percent_above(ours: Any, reference: Any, axis: int) -> Any:
-    unchanged = np.mean(reference, axis=axis)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return 100 * (np.mean(ours, axis=axis) - unchanged) / np.abs(unchanged)
+def _percent(found: arms.Compared) -> Interval:
+    """A difference and its interval in percent of the reference's mean; not-a-number where that is 0."""
+    unchanged = abs(float(np.mean([*found.arms[1].values.values()])))
+    scale = 100 / unchanged if unchanged else np.nan
+    return Interval(*(scale * end for end in found.difference.interval()))
 
 
 def table(found: pd.DataFrame) -> pd.DataFrame:

@@ -1,8 +1,9 @@
-"""The paper's numbers, as far as they could be recovered: its tables are lost, some figures and result files are not.
+"""The paper's numbers, as far as the copy at hand has them: its tables have no bodies, some figures can be read off.
 
 ``paper_numbers.csv`` holds each number with its source. Two origins are kept apart here. ``PAPER`` is the paper's own
-figures and its authors' result files. ``LATER`` is the table of the paper's later version, whose methods differ (p = 0,
-q = 2, no measure conditioning in their names); a later number never replaces the paper's.
+figures and its authors' result files. ``LATER`` is the table of the paper's later version (ICML 2025). Its methods
+differ: "EBC-GAIL" is GAIL with the bonus, p = 0 and q = 2, without measure conditioning. A later number never replaces
+the paper's.
 """
 
 from functools import cache
@@ -15,8 +16,11 @@ PAPER, LATER = "paper", "later version"
 METRICS = ("qd_score", "coverage", "best", "average")
 NOT_RECOVERABLE = "not recoverable"
 NOT_IN_PAPER = "not in the paper"
-# The later version's names for a base with the bonus.
-LATER_NAMES = {"mconbo-gail": "ebc-gail", "mconbo-vail": "ebc-vail"}
+# The later version's name for each of its methods; it has no measure conditioning, so no ``mconbo-`` arm.
+LATER_NAMES = {
+    **{base: base for base in ("gail", "vail", "diffail")},
+    **{f"mbo-{base}": f"ebc-{base}" for base in ("gail", "vail", "diffail")},
+}
 # Experiments of the paper on all three robots, whether or not their numbers are known (Figs. 5, 8, 11, 15, Table 1).
 EVERYWHERE = (
     *("true", "gail", "mcond-gail", "mconbo-gail", "mconbo-gail-obs", "vail", "mconbo-vail"),
@@ -70,7 +74,7 @@ def value(env: str, method: str, metric: str, n_demos: int = 4, origin: str = PA
 
     ``metric`` is one of ``METRICS``; coverage is a share of the cells, as everywhere here. A method without
     demonstrations has the same number for any ``n_demos``. ``origin=LATER`` gives the later version's number for the
-    corresponding method. Raises ValueError for an unknown metric or origin.
+    same method (``LATER_NAMES``). Raises ValueError for an unknown metric or origin.
     """
     found = _found(env, method, metric, n_demos, origin)
     scale = 100.0 if metric == "coverage" else 1.0
@@ -93,7 +97,7 @@ def _found(env: str, method: str, metric: str, n_demos: int, origin: str) -> pd.
     if origin not in (PAPER, LATER):
         raise ValueError(f"unknown origin '{origin}'; choose '{PAPER}' or '{LATER}'.")
     table = _numbers()
-    name = LATER_NAMES.get(method, method) if origin == LATER else method
+    name = LATER_NAMES.get(method) if origin == LATER else method
     of_metric = table["metric"] == ("coverage_pct" if metric == "coverage" else metric)
     at_end = table["iteration"].isna()
     with_demos = table["n_demos"].isna() | (table["n_demos"] == n_demos)

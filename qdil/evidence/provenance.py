@@ -1,5 +1,6 @@
 """The runs behind a comparison: their seeds and commits, and differences that make some of them hard to compare."""
 
+import subprocess
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -7,11 +8,16 @@ from typing import Any, NamedTuple
 
 from qdil.config import GROUP_OF, SPEED_ONLY, to_json
 from qdil.evidence import tables
+from qdil.evidence.arms import ANOTHER, expert_of
 from qdil.files import read_json
 from qdil.lab.lemma import results
 from qdil.methods import parse_method
+from qdil.runs.experiments import COUNTED_SEEDS
 from qdil.runs.folder import RESULTS, read_config
 from qdil.runs.studies import config_of
+
+ROOT = Path(__file__).parents[2]
+PROTOCOL = Path("docs", "protocol.md")
 
 
 class Origin(NamedTuple):
@@ -21,7 +27,7 @@ class Origin(NamedTuple):
     seed: int
     commit: str  # its first seven digits, and whether the tree differed from it
     other_settings: tuple[str, ...]  # settings that would have another value if it were trained today
-    demonstrations: tuple[int, int, str] | None  # how many, their expert's seed, and their file's hash; None: none read
+    expert: str | None  # see ``arms.Arm.experts``
 
 
 def origin(experiment: str, folder: Path, env: str, budget: str) -> Origin:
@@ -38,10 +44,7 @@ def origin(experiment: str, folder: Path, env: str, budget: str) -> Origin:
     if not parse_method(config.method).base.imitates:
         silent |= {name for name, group in GROUP_OF.items() if group == "demos"}
     other = (n for n in trained if n in today and trained[n] != today[n] and n not in silent)
-    file_hash = manifest.get("demonstrations_sha256")
-    expert_seed = trained["expert_seed"] or seed
-    demonstrations = (config.demos.demo_episodes, expert_seed, file_hash) if file_hash else None
-    return Origin(experiment, seed, _short(manifest), tuple(other), demonstrations)
+    return Origin(experiment, seed, _short(manifest), tuple(other), expert_of(manifest, seed))
 
 
 def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root: Path = RESULTS) -> str:
@@ -49,12 +52,35 @@ def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root
     lines = []
     for env in envs:
         runs = tables.finished_seeds(experiments, env, budget, root)
-        origins = [origin(name, folder, env, budget) for name, folders in runs.items() for folder in folders]
+        origins = [
+            origin(name, folder, env, budget)
+            for name, folders in runs.items()
+            for folder in folders
+            if tables.seed_of(folder) in COUNTED_SEEDS
+        ]
         if origins:
             lines.append(f"* **{env}**: " + " ".join([*_counts(origins), *_apart(origins)]))
-    if (lemma := results.path_of(budget, root)).is_file():
-        lines.append(f"* **Lemma 1**: `{results.FILE}`, made at {_short(read_json(lemma))}.")
     return "\n".join(lines) or "None."
+
+
+def lemma_sentence(budget: str, root: Path = RESULTS) -> list[str]:
+    """Where the numbers on Lemma 1 are from, as an item of such a list; nothing without a results file."""
+    path = results.path_of(budget, root)
+    return [f"* **Lemma 1**: `{results.FILE}`, made at {_short(read_json(path))}."] if path.is_file() else []
+
+
+def protocol_commit(root: Path = ROOT) -> str:
+    """The commit that last changed ``docs/protocol.md``, its first seven digits; "unknown" outside a repository."""
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(root), *arguments, "--", PROTOCOL.as_posix()]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        commit, changed = git("log", "-1", "--format=%H"), git("status", "--porcelain")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return f"{commit[:7] or 'unknown'}{' with local changes' if changed else ''}"
 
 
 def _short(content: dict[str, Any]) -> str:
@@ -80,9 +106,10 @@ def _apart(origins: Sequence[Origin]) -> list[str]:
     for name in sorted({name for one in origins for name in one.other_settings}):
         where = [f"`{one.experiment}` {one.seed}" for one in origins if name in one.other_settings]
         found.append(f"**{name} was not today's** in {', '.join(where)}.")
-    files = {one.demonstrations for one in origins if one.demonstrations}
-    for (number, expert_seed), count in Counter(file[:2] for file in files).items():
-        if count > 1:
-            what = f"{number} demonstrations of the expert with seed {expert_seed}"
-            found.append(f"**These runs learned from {count} different files of {what}.**")
+    if others := [f"`{one.experiment}` {one.seed}" for one in origins if one.expert == ANOTHER]:
+        found.append(f"**Not known to have learned from the expert of their own seed**: {', '.join(others)}.")
+    for seed in sorted({one.seed for one in origins}):
+        experts = {one.expert for one in origins if one.seed == seed} - {None, ANOTHER}
+        if len(experts) > 1:
+            found.append(f"**Runs of seed {seed} learned from {len(experts)} different archives of its expert.**")
     return found

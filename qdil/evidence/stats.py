@@ -1,15 +1,14 @@
-"""Interval estimates over seeds: a bootstrap that resamples each arm separately, and interquartile means.
+"""Bootstrap intervals over seeds, for statistics that are not means: each arm or stratum is resampled separately.
 
-An arm is the runs of one experiment on one robot, a number per seed. Seeds of different arms are not paired: the same
-seed draws different numbers in different methods. The resampling is seeded, so equal runs always give equal intervals.
+An arm is the runs of one experiment on one robot, a number per seed. The resampling is seeded, so equal runs always
+give equal intervals. With three to five seeds a bootstrap underestimates the spread (``trust`` shows by how much):
+verdicts use Student's intervals (``student``) instead.
 
-With three seeds an arm, resampling underestimates the spread of means: ``docs/claims.md`` shows by how much.
-
-``scipy.stats`` has both estimates, and the tests compare with it. It is not used here because importing it takes longer
-than judging all claims.
+``scipy.stats`` has the same estimates, and the tests compare with it. It is not used here because importing it takes
+longer than judging all claims.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ FEWEST = 2  # seeds in each arm, below which there is no interval
 
 
 class Interval(NamedTuple):
-    """An estimate and its bootstrap interval, whose ends are not-a-number if an arm has too few seeds."""
+    """An estimate and its interval, whose ends are not-a-number if an arm has too few seeds."""
 
     estimate: float
     low: float
@@ -47,7 +46,9 @@ def iqm(values: Any, axis: int = -1) -> Any:
     return ascending[..., cut : ascending.shape[-1] - cut].mean(axis=-1)
 
 
-def contrast(arms: Sequence[Sequence[float]], statistic: Callable[..., Any], seed: int = SEED) -> Interval:
+def contrast(
+    arms: Sequence[Sequence[float]], statistic: Callable[..., Any], seed: int = SEED, resamples: int = RESAMPLES
+) -> Interval:
     """``statistic(*arms, axis)`` with its 95 % percentile bootstrap interval; each arm is resampled separately.
 
     ``statistic`` takes arrays of any shape and reduces ``axis`` of each. There is no interval if an arm has fewer than
@@ -60,40 +61,22 @@ def contrast(arms: Sequence[Sequence[float]], statistic: Callable[..., Any], see
     if min(map(len, samples)) < FEWEST:
         return Interval(estimate, np.nan, np.nan)
     rng = np.random.default_rng(seed)
-    resampled = [sample[rng.integers(0, len(sample), (RESAMPLES, len(sample)))] for sample in samples]
+    resampled = [sample[rng.integers(0, len(sample), (resamples, len(sample)))] for sample in samples]
     tail = 100 * (1 - CONFIDENCE) / 2
     low, high = np.percentile(statistic(*resampled, axis=-1), [tail, 100 - tail])
     return Interval(estimate, float(low), float(high))
 
 
-def bootstrap_interval(values: Sequence[float], statistic: Callable[..., Any] = mean, seed: int = SEED) -> Interval:
-    """A statistic of one arm with its interval; see ``contrast``."""
-    return contrast([values], statistic, seed)
-
-
-def difference(
-    ours: Sequence[float], reference: Sequence[float], statistic: Callable[..., Any] = mean, seed: int = SEED
+def paired_bootstrap(
+    ours: Mapping[int, float], reference: Mapping[int, float], seed: int = SEED, resamples: int = RESAMPLES
 ) -> Interval:
-    """``statistic`` of ``ours`` minus that of ``reference``, with its interval; see ``contrast``.
+    """The mean over shared seeds of ours minus the reference (values by seed), with its bootstrap interval.
 
-    Swapping two different arms changes only the sign, because the arms are sorted before they are resampled.
+    Seeds are resampled, and the two runs of a seed stay together. No verdict uses this interval: ``trust`` compares it
+    with Student's.
     """
-    if tuple(ours) < tuple(reference):
-        swapped = difference(reference, ours, statistic, seed)
-        return Interval(-swapped.estimate, -swapped.high, -swapped.low)
-    return contrast([ours, reference], lambda a, b, axis: statistic(a, axis) - statistic(b, axis), seed)
-
-
-def above_best(ours: Sequence[float], others: Sequence[Sequence[float]], seed: int = SEED) -> Interval:
-    """The mean of ``ours`` minus the highest mean among ``others``, with its interval; see ``contrast``.
-
-    The highest of several resampled means is high by luck, so the interval lies too low rather than too high.
-    """
-
-    def above(first: Any, *rest: Any, axis: int) -> Any:
-        return np.mean(first, axis=axis) - np.max([np.mean(other, axis=axis) for other in rest], axis=0)
-
-    return contrast([ours, *others], above, seed)
+    shared = sorted(set(ours) & set(reference))
+    return contrast([[ours[s] - reference[s] for s in shared]], mean, seed, resamples)
 
 
 def stratified(strata: Sequence[Sequence[float]], statistic: Callable[..., Any] = iqm, seed: int = SEED) -> Interval:

@@ -13,6 +13,7 @@ from qdil.evidence import corrected, paper, stats
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.runs.experiments import finished
 from qdil.runs.folder import RESULTS
+from qdil.runs.studies import without_protocol
 
 Runs = Mapping[str, Sequence[Path]]
 
@@ -126,11 +127,11 @@ def beside_paper(runs: Runs, env: str) -> pd.DataFrame:
 def of_paper(env: str, experiment: str, metric: str) -> str:
     """The paper's number for an experiment as a text, with its spread if that is known: "1,429 ± 42 (s.e.)".
 
-    "not recoverable" if it is lost, "not in the paper" if there never was one.
+    "not recoverable" if the copy at hand does not have it, "not in the paper" if there never was one.
     """
     number = paper_value(env, experiment, metric)
     if number is None:
-        return paper.NOT_RECOVERABLE if paper.has(env, experiment) else paper.NOT_IN_PAPER
+        return paper.NOT_RECOVERABLE if paper.has(env, without_protocol(experiment)) else paper.NOT_IN_PAPER
     method, demos = _method_and_demos(experiment)
     spread = paper.spread(env, method, metric, demos)
     if spread is None:
@@ -139,17 +140,18 @@ def of_paper(env: str, experiment: str, metric: str) -> str:
 
 
 def paper_value(env: str, experiment: str, metric: str, origin: str = paper.PAPER) -> float | None:
-    """The paper's number for an experiment; None if it is lost or the experiment is not one of the paper's.
+    """The paper's number for an experiment; None if it is not in the copy at hand, or not in the paper.
 
-    The number of demonstrations is the only varied setting for which the paper gives numbers.
+    The number of demonstrations is the only varied setting for which the paper gives numbers. A protocol is a reading
+    of the paper, so all protocols have the same number beside them.
     """
     method, demos = _method_and_demos(experiment)
     return paper.value(env, method, metric, demos, origin) if demos else None
 
 
 def _method_and_demos(experiment: str) -> tuple[str, int]:
-    """An experiment's method and number of demonstrations, 4 unless named; 0 if it has any other setting."""
-    method, *settings = experiment.split("+")
+    """An experiment's method and number of demonstrations, 4 unless named; 0 if a setting but the protocol differs."""
+    method, *settings = without_protocol(experiment).split("+")
     demos = [setting.removeprefix("demo_episodes=") for setting in settings if setting.startswith("demo_episodes=")]
     if len(demos) < len(settings):
         return method, 0

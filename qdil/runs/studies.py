@@ -9,7 +9,9 @@ from typing import Any
 
 from qdil.config import PROTOCOLS, SPEED_ONLY, Config, make_config, parse_settings, value_of
 from qdil.errors import ConfigError
+from qdil.methods import BUILT_IN
 
+PROTOCOL_NAMES = tuple(PROTOCOLS)  # readings of the algorithm, the default first
 DEMONSTRATIONS = (1, 2, 10)  # besides the budget's own number (Appendix H)
 
 
@@ -37,8 +39,37 @@ def config_of(experiment: str, env: str, budget: str, seed: int = 1) -> Config:
     return make_config(env, method, budget, seed, **parse_settings(changes))
 
 
+def under(experiment: str, protocol: str) -> str:
+    """The name of an experiment under a protocol; one that names its protocol already keeps it.
+
+    ``paper`` is the default and never part of the result: ``true+protocol=paper`` becomes ``true``.
+    """
+    method, *settings = experiment.split("+")
+    if not any(setting.startswith("protocol=") for setting in settings):
+        settings.append(f"protocol={protocol}")
+    return "+".join([method, *sorted(setting for setting in settings if setting != f"protocol={PROTOCOLS[0]}")])
+
+
+def without_protocol(experiment: str) -> str:
+    """The name of an experiment as under the default protocol, ``paper``."""
+    return "+".join(part for part in experiment.split("+") if not part.startswith("protocol="))
+
+
+def budget_of(name: str) -> tuple[str | None, str]:
+    """The budget that a name such as ``desk/gail`` starts with (None without one), and the experiment."""
+    budget, _, experiment = name.rpartition("/")
+    return budget or None, experiment
+
+
 MAIN = ("true", "gail", "mconbo-gail")
+# A study leaves out what is not built in.
+AVAILABLE = choices("protocol")
+LATER_BASES = tuple(name for name in ("gail", "vail", "diffail") if name in {base.name for base in BUILT_IN})
 STUDIES: dict[str, tuple[str, ...]] = {
+    "core": (  # every method once
+        *("true", "gail", "mcond-gail", "mbo-gail", "mconbo-gail", "vail", "mconbo-vail", "mconbo-gail-obs"),
+        *("mbo-true", "airl", "giril", "pwil", "maxent"),
+    ),
     "expert": ("true",),  # Figs. 4, 9, Table 3
     "main": MAIN,  # Figs. 5, 6
     "vail": ("true", "vail", "mconbo-vail"),  # Fig. 8
@@ -64,6 +95,15 @@ STUDIES: dict[str, tuple[str, ...]] = {
         "mbo-zero",
         "mconbo-gail",
         "mconbo-gail+bonus_p=0.0",
+    ),
+    "protocols": (  # Q5, Q6
+        *MAIN,
+        *("gail+protocol=released", "mbo-gail+protocol=released", "mconbo-gail+protocol=released"),
+        *(under(name, "improved") for name in ("gail", "mconbo-gail") if "improved" in AVAILABLE),
+    ),
+    "later": (  # the later version's arms (E1 to E5)
+        *(under(f"{prefix}{base}", "released") for base in LATER_BASES for prefix in ("", "mbo-")),
+        *("true", under("true", "released"), under("mbo-true", "released")),
     ),
     "released": (  # every difference between paper and released program, one at a time (Q2, Q3)
         "mconbo-gail",

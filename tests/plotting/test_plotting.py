@@ -85,7 +85,7 @@ def test_names_that_are_no_methods_get_their_own_styles():
         ("mconbo-gail+bonus_p=0.0+bonus_q=1.0", "MConbo-GAIL, p = 0, q = 1"),
         ("gail+demo_episodes=1", "GAIL, 1 demonstration"),
         ("gail+demo_episodes=10", "GAIL, 10 demonstrations"),
-        ("mconbo-gail+protocol=released", "MConbo-GAIL, all released choices"),
+        ("mconbo-gail+protocol=released", "MConbo-GAIL, released protocol"),
         ("mconbo-vail+vail_beta=fixed", "MConbo-VAIL, vail beta = fixed"),
         ("gail+reward_hidden=8,8", "GAIL, reward hidden = 8,8"),
     ],
