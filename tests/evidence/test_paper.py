@@ -44,8 +44,16 @@ def test_values_are_those_of_the_end_of_the_papers_runs(args, expected):
 def test_a_later_number_never_stands_in_for_the_papers():
     assert paper.value("humanoid", "gail", "qd_score") is None
     assert paper.value("humanoid", "gail", "qd_score", origin=paper.LATER) == 1860000
-    assert paper.value("humanoid", "mconbo-gail", "qd_score", origin=paper.LATER) == 5310000
+    assert paper.value("humanoid", "mbo-gail", "qd_score", origin=paper.LATER) == 5310000
+    # The later version has the bonus without measure conditioning.
+    assert paper.value("humanoid", "mconbo-gail", "qd_score", origin=paper.LATER) is None
     assert paper.value("walker2d", "true", "qd_score", origin=paper.LATER) is None
+
+
+def test_every_method_of_the_later_version_has_a_name_here():
+    later = paper.numbers()
+    assert set(paper.LATER_NAMES.values()) == set(later[later["origin"] == paper.LATER]["method"])
+    assert paper.value("walker2d", "mbo-diffail", "coverage", origin=paper.LATER) == pytest.approx(0.8863)
 
 
 def test_spreads_say_what_they_are():

@@ -33,6 +33,6 @@ def test_claims_are_judged_in_a_second_or_two_and_readers_import_no_jax(tmp_path
     assert ran.returncode == 0, ran.stderr
     *printed, last = ran.stdout.splitlines()
     found = json.loads(last)
-    assert "C1 walker2d: QD-score: MConbo-GAIL above GAIL: reproduced" in printed
+    assert "C1 walker2d (paper): QD-score: MConbo-GAIL above GAIL: reproduced" in printed
     assert found["status"] == 0 and found["slow"] == [] and not found["jax"]
     assert found["seconds"] < 2, "processor time"  # 0.8 s on two quiet cores
