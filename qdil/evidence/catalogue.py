@@ -1,14 +1,14 @@
 """The claims as records: the paper's C1 to C16, its later version's E1 to E5, and our own questions Q1 to Q6.
 
 A claim is a sentence, where it is made, on which robots, and the comparisons that it consists of. It is reproduced on a
-robot if all its comparisons hold. Experiments are named as under the protocol ``paper``; ``under`` gives their names
-under the protocol that is judged. ``docs/claims.md`` explains every rule.
+robot if all its comparisons hold. Experiments are named as under the protocol ``paper``; ``parts_under`` gives their
+names under the protocol that is judged. ``docs/claims.md`` explains every rule.
 """
 
 from qdil.evidence.paper import METRICS
 from qdil.evidence.verdicts import LATER, OURS, PAPER, Claim, Part
 from qdil.robots.register import PAPER_ROBOTS
-from qdil.runs.studies import PROTOCOLS, STUDIES
+from qdil.runs.studies import PROTOCOLS, STUDIES, under
 
 MARGIN = 0.1  # share of the reference: a loss up to this is "marginal", and a value that loses no more "holds"
 NEAR_ALL = 0.9  # share of the cells that is "near 100 %", as the paper calls walker2d's 91.7 %
@@ -166,3 +166,13 @@ OF_OURS = (
 )  # fmt: skip
 
 CLAIMS: tuple[Claim, ...] = (*OF_PAPER, *OF_LATER, *OF_OURS)
+
+
+def parts_under(claim: Claim, protocol: str) -> tuple[Part, ...]:
+    """A claim's comparisons with their experiments' names under a protocol; Lemma 1 is the same under all."""
+
+    def renamed(part: Part) -> Part:
+        against = tuple(under(name, protocol) for name in part.against)
+        return part._replace(ours=under(part.ours, protocol), against=against)
+
+    return tuple(part if part.reading == LEMMA else renamed(part) for part in claim.parts)

@@ -7,7 +7,7 @@ from qdil.config import BUDGETS
 from qdil.errors import ConfigError
 from qdil.evidence import arms, tables
 from qdil.evidence.arms import Arm
-from qdil.evidence.catalogue import CLAIMS, LEMMA
+from qdil.evidence.catalogue import CLAIMS, LEMMA, parts_under
 from qdil.evidence.corrected import CORRECTED, METRICS
 from qdil.evidence.readings import READINGS
 from qdil.evidence.report import markdown, overview, plain, table, write
@@ -17,7 +17,7 @@ from qdil.robots.register import PAPER_ROBOTS
 from qdil.robots.register import find as find_robot
 from qdil.runs.experiments import COUNTED_SEEDS
 from qdil.runs.folder import RESULTS
-from qdil.runs.studies import PROTOCOLS, budget_of, under
+from qdil.runs.studies import PROTOCOLS, budget_of
 
 __all__ = ["CLAIMS", "Claim", "Verdict", "judge", "markdown", "overview", "plain", "table", "write"]
 
@@ -33,7 +33,7 @@ def experiments_needed(claims: Iterable[Claim] = CLAIMS, protocol: str | None = 
     found: dict[str, None] = {}
     for claim in claims:
         for one in claim.protocols if protocol is None else set(claim.protocols) & {protocol}:
-            parts = [part for part in _under(claim, one) if part.reading != LEMMA]
+            parts = [part for part in parts_under(claim, one) if part.reading != LEMMA]
             found |= dict.fromkeys(name for part in parts for name in (part.ours, *part.against))
     return tuple(found)
 
@@ -72,16 +72,6 @@ def _is_of(claim: Claim, budget: str) -> bool:
     return not named or budget in named
 
 
-def _under(claim: Claim, protocol: str) -> tuple[Part, ...]:
-    """A claim's comparisons with their experiments' names under a protocol; Lemma 1 is the same under all."""
-
-    def renamed(part: Part) -> Part:
-        against = tuple(under(name, protocol) for name in part.against)
-        return part._replace(ours=under(part.ours, protocol), against=against)
-
-    return tuple(part if part.reading == LEMMA else renamed(part) for part in claim.parts)
-
-
 def _corrected(parts: Sequence[Part]) -> tuple[Part, ...]:
     """The same comparisons of corrected metrics; none if a part compares anything but the four metrics."""
     if not all(part.reading in BY_CORRECTED for part in parts):
@@ -90,14 +80,14 @@ def _corrected(parts: Sequence[Part]) -> tuple[Part, ...]:
 
 
 def _judge(claim: Claim, env: str, protocol: str, values: Arms, changes: results.Changes | None) -> Verdict:
-    parts = _under(claim, protocol)
+    parts = parts_under(claim, protocol)
     as_claimed, corrected = ([_find(part, values, changes) for part in some] for some in (parts, _corrected(parts)))
     return Verdict(claim, env, protocol, with_holm(as_claimed), with_holm(corrected))
 
 
 def _arms(claims: Sequence[Claim], env: str, budget: str, root: Path) -> Arms:
     """Every reading that some claim needs, of every finished run that counts."""
-    parts = [part for claim in claims for protocol in claim.protocols for part in _under(claim, protocol)]
+    parts = [part for claim in claims for protocol in claim.protocols for part in parts_under(claim, protocol)]
     needed = {(part.reading, name): None for part in parts for name in (part.ours, *part.against)}
     needed |= {(BY_CORRECTED[what], name): None for what, name in needed if what in BY_CORRECTED}
     folders = {name: _folders(name, env, budget, root) for name in dict.fromkeys(name for _, name in needed)}

@@ -16,7 +16,7 @@ from qdil.lab.lemma.results import ROUNDING
 from qdil.names import label
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.runs.folder import RESULTS
-from qdil.runs.studies import STUDIES, budget_of, under
+from qdil.runs.studies import PROTOCOLS, STUDIES, budget_of, under, without_protocol
 
 HOW_TO_READ = """\
 *Reproduced*: the whole 95 % interval of the difference agrees with the claim. *Not reproduced*: all of it contradicts
@@ -140,14 +140,12 @@ def comparison(part: Part, protocol: str = "paper") -> str:
 
 
 def _label(name: str, protocol: str) -> str:
-    """An experiment in words, without its protocol if that is ``protocol``, with its budget if ``name`` has one."""
+    """An experiment in words: its budget in brackets if ``name`` has one, its protocol if that is not ``protocol``."""
     budget, experiment = budget_of(name)
-    method, *settings = experiment.split("+")
-    named = next((setting for setting in settings if setting.startswith("protocol=")), "protocol=paper")
-    plain = label("+".join([method, *(setting for setting in settings if setting != f"protocol={protocol}")]))
-    if protocol != "paper" and named == "protocol=paper":
-        plain += ", paper protocol"
-    return plain + (f" at {budget}" if budget else "")
+    plain = without_protocol(experiment)
+    own = next(one for one in PROTOCOLS if under(plain, one) == under(experiment, PROTOCOLS[0]))
+    remarks = [*([f"{own} protocol"] if own != protocol else []), *([budget] if budget else [])]
+    return label(plain) + (f" ({', '.join(remarks)})" if remarks else "")
 
 
 def of_paper(env: str, part: Part, source: str = paper.PAPER) -> str:

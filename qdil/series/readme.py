@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from qdil.config import BUDGETS, make_config
-from qdil.evidence import claims, report, tables
+from qdil.evidence import claims, protocol_page, report, tables
 from qdil.evidence.markdown import markdown_table
 from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, REPRODUCED, Verdict
 from qdil.names import title
@@ -133,6 +133,11 @@ PARTS: dict[tuple[str, str], Callable[[], str]] = {  # by page and name
     ("README.md", "budgets"): budgets,
     ("README.md", "notebooks"): index.contents,
     ("docs/running.md", "notebooks"): lambda: index.table(folder="../notebooks/"),
+    ("docs/claims.md", "few seeds"): protocol_page.few_seeds,
+    ("docs/protocol.md", "claims"): protocol_page.claims,
+    ("docs/protocol.md", "runs"): protocol_page.runs,
+    ("docs/protocol.md", "budgets"): protocol_page.budgets,
+    ("docs/protocol.md", "chance"): protocol_page.chance,
     ("docs/laptop-budget.md", "walker2d's runs"): lambda: runs("walker2d"),
     ("docs/laptop-budget.md", "halfcheetah's runs"): lambda: runs("halfcheetah"),
     ("docs/performance.md", "speeds"): speeds,

@@ -279,7 +279,7 @@ def test_the_later_versions_numbers_stand_beside_its_own_claims_alone(tmp_path):
     assert rows.loc["E2", "paper"] == "7,260,000 against 5,090,000" and rows.loc["E2", "protocol"] == "released"
     assert rows.loc["E2", "comparison"] == "QD-score: Mbo-VAIL above VAIL"
     assert rows.loc["E4b", "paper"] == "7,260,000 against 5,708,191"
-    assert rows.loc["E4b", "comparison"] == "QD-score: Mbo-VAIL above Expert, paper protocol"
+    assert rows.loc["E4b", "comparison"] == "QD-score: Mbo-VAIL above Expert (paper protocol)"
 
 
 def test_a_smoke_result_never_overwrites_the_laptops(tmp_path):

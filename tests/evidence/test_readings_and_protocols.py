@@ -190,8 +190,7 @@ def test_gains_of_two_budgets_are_compared_over_all_seeds_of_each(tmp_path, monk
     assert found.findings[0].difference.estimate == pytest.approx(1.0, abs=0.01)
     [row] = claims.table([found])[:1].to_dict("records")
     assert row["comparison"] == (
-        "QD-score: gain of MConbo-GAIL at desk over GAIL at desk, "
-        "minus that of MConbo-GAIL at laptop over GAIL at laptop"
+        "QD-score: gain of MConbo-GAIL (desk) over GAIL (desk), minus that of MConbo-GAIL (laptop) over GAIL (laptop)"
     )
     assert row[report.DIFFERENCE].startswith("+100.2% [") and row["verdict"] == "yes"
     assert "Q6b" not in {v.claim.id for v in claims.judge(tmp_path, "full")}
