@@ -26,8 +26,8 @@ questions (Q) are answered with yes and no.
 
 *As claimed*: by the paper's metrics, which keep the best score that a candidate ever had. *Corrected*: every elite is
 evaluated again on fresh episodes and counts in the cell where it lands. *Holm*: what is left of both verdicts if the
-claim's comparisons are corrected for their number. Runs are paired by seed: a seed's runs learned from one expert. [The
-rules](../docs/claims.md), and [the protocol](../docs/protocol.md), which was written before the runs."""
+claim's comparisons are corrected for their number. Runs are paired by seed: a seed's runs learned from one expert. More
+in [how claims are judged](../docs/claims.md) and in [the protocol](../docs/protocol.md), which has the exact rules."""
 SCALE = {
     "smoke": "Nothing is learned at this budget: it tests that every line runs, and its verdicts mean nothing.",
     "desk": "Our numbers and the paper's have the same units; our searches are far shorter: compare order, not size.",
@@ -200,12 +200,20 @@ def _signed(reading: str, value: float) -> str:
     return ("+" if value >= 0 else "−") + _number(reading, abs(value))
 
 
+def verdicts_on(verdicts: Sequence[Verdict], env: str, leave_out: Sequence[str] = ()) -> str:
+    """``overview`` in Markdown without the columns ``leave_out``; claims without runs are listed below it."""
+    rows = overview(verdicts, env).drop(columns=list(leave_out))
+    without = rows["as claimed"] == NO_RUNS
+    missing = ", ".join(rows["id"][without].str.removesuffix(f" {UNCLAIMED}"))
+    shown = [markdown_table(rows[~without])] if not without.all() else []
+    return "\n\n".join([*shown, *([f"No runs yet: {missing}."] if missing else [])])
+
+
 def plain(verdicts: Sequence[Verdict]) -> str:
     """Verdicts for a terminal: a table per robot, then every comparison that has runs."""
     lines = []
     for env in _envs(verdicts):
-        shown = overview(verdicts, env).drop(columns="where")
-        lines += [env, markdown_table(shown[[name for name in shown if name != "claim"] + ["claim"]]), ""]
+        lines += [env, verdicts_on(verdicts, env, ["where"]), ""]
     rows = table(verdicts)
     lines += _notes(rows)
     lines += [
@@ -229,7 +237,7 @@ def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> 
         f"# The paper's claims, judged from runs at the {budget} budget",
         f"Written by `qdil claims --budget {budget}`, from finished runs alone.\n{HOW_TO_READ}",
         "## Verdicts",
-        *(part for env in envs for part in (f"### {env}", markdown_table(overview(verdicts, env)))),
+        *(part for env in envs for part in (f"### {env}", verdicts_on(verdicts, env))),
         *_notes(details)[:-1],
         "## Comparisons",
         markdown_table(details) if len(details) else "There are no runs.",
@@ -237,7 +245,8 @@ def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> 
         "## Over all robots",
         over_robots(envs, budget, root),
         "## Runs",
-        f"The protocol is `docs/protocol.md` of commit {provenance.protocol_commit()}.",
+        f"The protocol is [`docs/protocol.md`](../docs/protocol.md) of commit {provenance.protocol_commit()}. Runs made "
+        "at an earlier commit are older than it.",
         _provenance(verdicts, envs, budget, root),
         "## Rules",
         "\n".join(f"* **{claim.id}** {claim.sentence} ({claim.where}). {claim.rule}" for claim in claims),

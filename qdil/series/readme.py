@@ -5,6 +5,7 @@ kept runs, settings from the budgets, and speeds from the files of ``qdil bench`
 """
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pandas as pd
 from qdil.config import BUDGETS, make_config
 from qdil.evidence import claims, protocol_page, report, tables
 from qdil.evidence.markdown import markdown_table
-from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, REPRODUCED, Verdict
+from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, PAPER, REPRODUCED, Verdict, together
 from qdil.names import title
 from qdil.runs.studies import MAIN
 from qdil.series import index
@@ -56,15 +57,17 @@ def results(root: Path | None = None) -> str:
 
 
 def verdicts(root: Path | None = None) -> str:
-    """Two sentences on ``qdil claims``: the paper's main claim, and how many of its claims have which verdict."""
+    """Sentences on ``qdil claims``: the paper's main claim, and how many of its claims have which verdict."""
     judged = claims.judge(root or RESULTS, BUDGET, [ROBOT])
-    of_paper = [v for v in judged if v.env == ROBOT and v.claim.where != "ours"]
-    found = [v.verdict for v in of_paper]
+    of_paper = [v for v in judged if v.env == ROBOT and v.claim.source == PAPER and v.protocol == PAPER]
+    claimed = Counter(v.verdict for v in of_paper)
+    corrected = Counter(together([f.verdict for f in v.corrected]) for v in of_paper if v.corrected)
     return (
         f"At the `{BUDGET}` budget, on {ROBOT}, {_main_claim([v for v in of_paper if v.claim.id == 'C1'])}.\n"
-        f"Of the paper's {len(found)} claims, these runs reproduce {found.count(REPRODUCED)}, do not reproduce "
-        f"{found.count(NOT_REPRODUCED)}, and leave {found.count(INCONCLUSIVE)} open; {found.count(NO_RUNS)} have no "
-        "runs yet."
+        f"Of the paper's {len(of_paper)} claims, these runs reproduce {claimed[REPRODUCED]}, do not reproduce "
+        f"{claimed[NOT_REPRODUCED]}, and leave {claimed[INCONCLUSIVE]} open; {claimed[NO_RUNS]} have no runs yet. "
+        f"By corrected metrics, which {corrected.total()} of them can be judged by, it is {corrected[REPRODUCED]}, "
+        f"{corrected[NOT_REPRODUCED]}, {corrected[INCONCLUSIVE]} and {corrected[NO_RUNS]}."
     )
 
 
@@ -72,8 +75,11 @@ def _main_claim(verdict: list[Verdict]) -> str:
     rows = report.table(verdict)
     if rows.empty:
         return MAIN_CLAIM[NO_RUNS]
-    difference = rows["difference [95 % interval]"][0]
-    return f"{MAIN_CLAIM[verdict[0].verdict]}: the difference, with its 95 % bootstrap interval, is {difference}"
+    as_claimed, corrected = rows[report.DIFFERENCE]
+    return (
+        f"{MAIN_CLAIM[verdict[0].verdict]}: the difference, with its 95 % interval, is {as_claimed}; corrected, where "
+        f"each elite counts as on fresh episodes, it is {corrected}"
+    )
 
 
 def budgets() -> str:

@@ -55,7 +55,7 @@ def test_a_part_replaces_what_is_between_its_markers():
 @pytest.mark.parametrize(
     "gail, mconbo, words",
     [
-        ([1.0, 2.0], [11.0, 12.0], "MConbo-GAIL beats GAIL on QD-score, as the paper claims: the difference"),
+        ([1.0, 2.0], [11.0, 12.1], "MConbo-GAIL beats GAIL on QD-score, as the paper claims: the difference"),
         ([11.0, 12.0], [1.0, 2.0], "MConbo-GAIL does **not** beat GAIL"),
         ([1.0, 12.0], [2.0, 11.0], "the runs do not decide whether MConbo-GAIL beats GAIL"),
     ],
@@ -71,11 +71,18 @@ def test_without_runs_the_main_sentence_says_so(tmp_path):
 
 
 def test_verdicts_are_counted_as_the_page_of_claims_lists_them(kept):
-    page = (kept / "claims.md").read_text().split("## Verdicts")[1].split("\n## ")[0]
+    page = (kept / "claims.md").read_text().split("### walker2d")[1].split("\n##")[0]
     head, *rows = cells(page)
-    found = [row[head.index("walker2d")].strip(" †") for row in rows if row[0].startswith("C")]
-    counts = [found.count(verdict) for verdict in ("reproduced", "not reproduced", "inconclusive", "no runs")]
-    assert list(map(int, re.findall(r"\d+", readme.verdicts(kept).splitlines()[1]))) == [16, *counts]
+    shown = [dict(zip(head, row, strict=True)) for row in rows if row[0].startswith("C")]
+    of_paper = [row for row in shown if row["protocol"] == "paper"]
+    without = len(re.findall(r"\bC\d+", page.split("No runs yet:")[1]))
+    claimed, corrected = ([row[name] for row in of_paper] for name in ("as claimed", "corrected"))
+    counts = [
+        [some.count(kind) for kind in ("reproduced", "not reproduced", "inconclusive")] for some in (claimed, corrected)
+    ]
+    expected = [16, *counts[0], without, 13, *counts[1], 13 - sum(counts[1])]
+    assert list(map(int, re.findall(r"\d+", readme.verdicts(kept).splitlines()[1]))) == expected
+    assert len(of_paper) + without == 16 and corrected.count("–") <= 3
 
 
 def test_the_results_are_those_of_the_runs_last_iterations(kept):
