@@ -52,9 +52,11 @@ class PPGA:
         0, "plain PPO updates on the method's own reward before iteration 1 (ours; 0 in the paper)"
     )
     gradient_updates: AtLeastOne = setting(
-        10, "N1, VPPO updates before each Jacobian (authors; the paper's Table 4 is lost)"
+        10, "N1, VPPO updates before each Jacobian (authors; the paper's Table 4 is not in the copy at hand)"
     )
-    walk_updates: AtLeastOne = setting(10, "N2, VPPO updates of the walk (authors; the paper's Table 4 is lost)")
+    walk_updates: AtLeastOne = setting(
+        10, "N2, VPPO updates of the walk (authors; the paper's Table 4 is not in the copy at hand)"
+    )
     candidates: AtLeastOne = setting(300, "λ, branched policies an iteration (authors)")
     cells: AtLeastOne = setting(50, "grid cells per measure (paper: 50x50)")
     sigma0: Positive = setting(1.0, "xNES initial step σ_g, in unit-length gradient rows (authors: 1; humanoid 0.5)")
@@ -177,8 +179,12 @@ class Bonus:
 class Reward:
     """The reward models. Each reads the settings that bear its name and those of ``reward_``."""
 
-    reward_hidden: Widths = setting((100, 100), "tanh layers of reward networks (authors; the paper's Table 5 is lost)")
-    reward_learning_rate: Positive = setting(3e-4, "Adam's step size (authors; the paper's Table 5 is lost)")
+    reward_hidden: Widths = setting(
+        (100, 100), "tanh layers of reward networks (authors; the paper's Table 5 is not in the copy at hand)"
+    )
+    reward_learning_rate: Positive = setting(
+        3e-4, "Adam's step size (authors; the paper's Table 5 is not in the copy at hand)"
+    )
     reward_steps: AtLeastOne = setting(100, "discriminator steps per QD iteration (ours)")
     reward_schedule: Literal["iteration", "update"] = setting(
         "iteration", "a reward model learns after the walk (Algorithm 1) or after every VPPO update (released program)"
@@ -209,7 +215,7 @@ class Reward:
     )
     giril_steps: AtLeastOne = setting(5000, "steps of GIRIL's training before the run (ours)")
     giril_learning_rate: Positive = setting(3e-4, "Adam's step size for GIRIL (ours; as the other reward models')")
-    giril_action_weight: NotNegative = setting(1.0, "α of eq. 9 (ours; the paper's Table 7 is lost)")
+    giril_action_weight: NotNegative = setting(1.0, "α of eq. 9 (ours; the paper's Table 7 is not in the copy at hand)")
     pwil_alpha: Positive = setting(
         5.0, "α of PWIL: the largest reward per step (Dadashi et al., 2021; released program: 1)"
     )

@@ -10,7 +10,7 @@ from qdil.evidence.arms import Arm
 from qdil.evidence.catalogue import CLAIMS, LEMMA, parts_under
 from qdil.evidence.corrected import CORRECTED, METRICS
 from qdil.evidence.readings import READINGS
-from qdil.evidence.report import markdown, overview, plain, table, write
+from qdil.evidence.report import markdown, overview, plain, table, verdicts_on, write
 from qdil.evidence.verdicts import NO_RUNS, SMALL_MDP, Claim, Finding, Part, Verdict, find, with_holm
 from qdil.lab.lemma import results
 from qdil.robots.register import PAPER_ROBOTS
@@ -19,7 +19,7 @@ from qdil.runs.experiments import COUNTED_SEEDS
 from qdil.runs.folder import RESULTS
 from qdil.runs.studies import PROTOCOLS, budget_of
 
-__all__ = ["CLAIMS", "Claim", "Verdict", "judge", "markdown", "overview", "plain", "table", "write"]
+__all__ = ["CLAIMS", "Claim", "Verdict", "judge", "markdown", "overview", "plain", "table", "verdicts_on", "write"]
 
 BY_CORRECTED = dict(zip(METRICS, CORRECTED, strict=True))  # a reading as claimed -> its corrected counterpart
 Arms = dict[tuple[str, str], Arm]  # by reading and experiment

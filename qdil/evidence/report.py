@@ -245,8 +245,8 @@ def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> 
         "## Over all robots",
         over_robots(envs, budget, root),
         "## Runs",
-        f"The protocol is [`docs/protocol.md`](../docs/protocol.md) of commit {provenance.protocol_commit()}. Runs made "
-        "at an earlier commit are older than it.",
+        f"The protocol is [`docs/protocol.md`](../docs/protocol.md) of commit {provenance.protocol_commit()}. "
+        "Runs made at an earlier commit are older than it.",
         _provenance(verdicts, envs, budget, root),
         "## Rules",
         "\n".join(f"* **{claim.id}** {claim.sentence} ({claim.where}). {claim.rule}" for claim in claims),
