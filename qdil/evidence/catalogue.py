@@ -8,7 +8,7 @@ names under the protocol that is judged. ``docs/claims.md`` explains every rule.
 from qdil.evidence.paper import METRICS
 from qdil.evidence.verdicts import LATER, OURS, PAPER, Claim, Part
 from qdil.robots.register import PAPER_ROBOTS
-from qdil.runs.studies import PROTOCOLS, STUDIES, under
+from qdil.runs.studies import PROTOCOL_NAMES, STUDIES, under
 
 MARGIN = 0.1  # share of the reference: a loss up to this is "marginal", and a value that loses no more "holds"
 NEAR_ALL = 0.9  # share of the cells that is "near 100 %", as the paper calls walker2d's 91.7 %
@@ -35,7 +35,7 @@ def _not_below(ours: str, against: str, margin: float, *readings: str) -> tuple[
 
 
 def _claim(name: str, sentence: str, where: str, robots: tuple[str, ...], parts: tuple[Part, ...],
-           rule: str = ABOVE_RULE, protocols: tuple[str, ...] = PROTOCOLS) -> Claim:  # fmt: skip
+           rule: str = ABOVE_RULE, protocols: tuple[str, ...] = PROTOCOL_NAMES) -> Claim:  # fmt: skip
     return Claim(name, sentence, where, robots, parts, rule, protocols, PAPER)
 
 
@@ -154,15 +154,16 @@ OF_OURS = (
               _above(MCONBO, f"{MCONBO}+walk_weights=fitness", "qd_score")),
     _question("Q4", "MConbo helps every base: AIRL, GIRIL, PWIL and Max-Ent, on QD-score",
               tuple(part for base in BASELINES for part in _above(f"mconbo-{base}", base, "qd_score")),
-              protocols=PROTOCOLS),
+              protocols=PROTOCOL_NAMES),
     _question("Q5a", "MConbo-GAIL has a higher QD-score under `improved` than under `paper`",
               _above(MCONBO, f"{MCONBO}+protocol=paper", "qd_score"), protocols=("improved",)),
     _question("Q5b", "MConbo-GAIL has a higher QD-score under `improved` than under `released`, which selects by the "
               "true reward", _above(MCONBO, f"{MCONBO}+protocol=released", "qd_score"), protocols=("improved",)),
     _question("Q6a", "MConbo-GAIL's gain over GAIL is another under this protocol than under `paper`",
-              _gain((f"{MCONBO}+protocol=paper", f"{GAIL}+protocol=paper")), GAIN_RULE, PROTOCOLS[1:]),
+              _gain((f"{MCONBO}+protocol=paper", f"{GAIL}+protocol=paper")), GAIN_RULE, PROTOCOL_NAMES[1:]),
     _question("Q6b", "MConbo-GAIL's gain over GAIL is another at `desk` than at `laptop`",
-              _gain((f"laptop/{MCONBO}", f"laptop/{GAIL}"), (f"desk/{MCONBO}", f"desk/{GAIL}")), GAIN_RULE, PROTOCOLS),
+              _gain((f"laptop/{MCONBO}", f"laptop/{GAIL}"), (f"desk/{MCONBO}", f"desk/{GAIL}")),
+              GAIN_RULE, PROTOCOL_NAMES),
 )  # fmt: skip
 
 CLAIMS: tuple[Claim, ...] = (*OF_PAPER, *OF_LATER, *OF_OURS)

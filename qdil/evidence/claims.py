@@ -17,7 +17,7 @@ from qdil.robots.register import PAPER_ROBOTS
 from qdil.robots.register import find as find_robot
 from qdil.runs.experiments import COUNTED_SEEDS
 from qdil.runs.folder import RESULTS
-from qdil.runs.studies import PROTOCOLS, budget_of
+from qdil.runs.studies import PROTOCOL_NAMES, budget_of
 
 __all__ = ["CLAIMS", "Claim", "Verdict", "judge", "markdown", "overview", "plain", "table", "verdicts_on", "write"]
 
@@ -58,7 +58,7 @@ def judge(root: Path = RESULTS, budget: str = "laptop", envs: Sequence[str] | No
     problems = dict.fromkeys((SMALL_MDP, *(name for name in changes if name not in PAPER_ROBOTS)))
     verdicts = [
         _judge(claim, env, protocol, values.get(env, {}), changes.get(env))
-        for protocol in PROTOCOLS
+        for protocol in PROTOCOL_NAMES
         for claim in judged
         if protocol in claim.protocols
         for env in ([*problems, *robots] if claim.id == "C14" else robots)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from qdil.config import BUDGETS, make_config
+from qdil.config import make_config
 from qdil.evidence import report, trust
 from qdil.evidence.arms import seeds_text
 from qdil.evidence.catalogue import CLAIMS, LEMMA, parts_under
@@ -46,14 +46,16 @@ def _stage(stage: Stage) -> str:
     seeds = f"seeds {seeds_text([stage.seeds])}"
     if stage.further:
         seeds += f", and {seeds_text([stage.further])} where a comparison stays inconclusive"
+    first = [one.experiments for one in PLAN].index(stage.experiments)
     names = ", ".join(f"`{name}`" for name in stage.experiments)
-    return f"**`{stage.budget}`, {', '.join(stage.robots)}**, {seeds}: {names}."
+    shown = names if PLAN[first] is stage else f"the experiments of {first + 1}"
+    return f"**`{stage.budget}`, {', '.join(stage.robots)}**, {seeds}: {shown}."
 
 
 def budgets() -> str:
-    """A row per budget of the evidence and robot: the settings that size a run."""
-    names = [name for name in dict.fromkeys(stage.budget for stage in PLAN) if name in BUDGETS]
-    return markdown_table(pd.DataFrame([_budget(name, robot) for name in names for robot in PAPER_ROBOTS]))
+    """A row per budget and robot of the plan: the settings that size a run."""
+    planned = dict.fromkeys((stage.budget, robot) for stage in PLAN for robot in stage.robots)
+    return markdown_table(pd.DataFrame([_budget(name, robot) for name, robot in planned]))
 
 
 def _budget(name: str, robot: str) -> dict[str, str]:

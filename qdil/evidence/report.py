@@ -16,7 +16,7 @@ from qdil.lab.lemma.results import ROUNDING
 from qdil.names import label
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.runs.folder import RESULTS
-from qdil.runs.studies import PROTOCOLS, STUDIES, budget_of, under, without_protocol
+from qdil.runs.studies import PROTOCOL_NAMES, STUDIES, budget_of, under, without_protocol
 
 HOW_TO_READ = """\
 *Reproduced*: the whole 95 % interval of the difference agrees with the claim. *Not reproduced*: all of it contradicts
@@ -143,7 +143,7 @@ def _label(name: str, protocol: str) -> str:
     """An experiment in words: its budget in brackets if ``name`` has one, its protocol if that is not ``protocol``."""
     budget, experiment = budget_of(name)
     plain = without_protocol(experiment)
-    own = next(one for one in PROTOCOLS if under(plain, one) == under(experiment, PROTOCOLS[0]))
+    own = next(one for one in PROTOCOL_NAMES if under(plain, one) == under(experiment, PROTOCOL_NAMES[0]))
     remarks = [*([f"{own} protocol"] if own != protocol else []), *([budget] if budget else [])]
     return label(plain) + (f" ({', '.join(remarks)})" if remarks else "")
 

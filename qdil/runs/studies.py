@@ -42,12 +42,13 @@ def config_of(experiment: str, env: str, budget: str, seed: int = 1) -> Config:
 def under(experiment: str, protocol: str) -> str:
     """The name of an experiment under a protocol; one that names its protocol already keeps it.
 
-    ``paper`` is the default and never part of the result: ``true+protocol=paper`` becomes ``true``.
+    ``paper`` is the default and never part of the result: ``true+protocol=paper`` becomes ``true``. The protocol comes
+    first, as in ``name_of``.
     """
     method, *settings = experiment.split("+")
-    if not any(setting.startswith("protocol=") for setting in settings):
-        settings.append(f"protocol={protocol}")
-    return "+".join([method, *sorted(setting for setting in settings if setting != f"protocol={PROTOCOLS[0]}")])
+    own = next((setting for setting in settings if setting.startswith("protocol=")), f"protocol={protocol}")
+    others = [setting for setting in settings if not setting.startswith("protocol=")]
+    return "+".join([method, *([own] if own != f"protocol={PROTOCOL_NAMES[0]}" else []), *others])
 
 
 def without_protocol(experiment: str) -> str:
@@ -63,7 +64,6 @@ def budget_of(name: str) -> tuple[str | None, str]:
 
 MAIN = ("true", "gail", "mconbo-gail")
 # A study leaves out what is not built in.
-AVAILABLE = choices("protocol")
 LATER_BASES = tuple(name for name in ("gail", "vail", "diffail") if name in {base.name for base in BUILT_IN})
 STUDIES: dict[str, tuple[str, ...]] = {
     "core": (  # every method once
@@ -99,7 +99,7 @@ STUDIES: dict[str, tuple[str, ...]] = {
     "protocols": (  # Q5, Q6
         *MAIN,
         *("gail+protocol=released", "mbo-gail+protocol=released", "mconbo-gail+protocol=released"),
-        *(under(name, "improved") for name in ("gail", "mconbo-gail") if "improved" in AVAILABLE),
+        *("gail+protocol=improved", "mconbo-gail+protocol=improved"),
     ),
     "later": (  # the later version's arms (E1 to E5)
         *(under(f"{prefix}{base}", "released") for base in LATER_BASES for prefix in ("", "mbo-")),

@@ -66,8 +66,8 @@ def verdicts(root: Path | None = None) -> str:
         f"At the `{BUDGET}` budget, on {ROBOT}, {_main_claim([v for v in of_paper if v.claim.id == 'C1'])}.\n"
         f"Of the paper's {len(of_paper)} claims, these runs reproduce {claimed[REPRODUCED]}, do not reproduce "
         f"{claimed[NOT_REPRODUCED]}, and leave {claimed[INCONCLUSIVE]} open; {claimed[NO_RUNS]} have no runs yet. "
-        f"By corrected metrics, which apply to {corrected.total()} claims: {corrected[REPRODUCED]} reproduced, "
-        f"{corrected[NOT_REPRODUCED]} not reproduced, {corrected[INCONCLUSIVE]} open, {corrected[NO_RUNS]} without runs."
+        f"By corrected metrics, which apply to {corrected.total()} claims, {corrected[REPRODUCED]} are reproduced, "
+        f"{corrected[NOT_REPRODUCED]} are not, {corrected[INCONCLUSIVE]} are open, {corrected[NO_RUNS]} have no runs."
     )
 
 

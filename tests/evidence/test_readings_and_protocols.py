@@ -16,7 +16,7 @@ from qdil.evidence.stats import Interval
 from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, REPRODUCED, Part
 from qdil.runs.experiments import COUNTED_SEEDS
 from qdil.runs.folder import folder_of
-from qdil.runs.studies import PROTOCOLS, budget_of, under, without_protocol
+from qdil.runs.studies import PROTOCOL_NAMES, budget_of, under, without_protocol
 
 HIGH, LOW = [110.0, 120.0, 130.0], [10.0, 20.0, 30.0]
 
@@ -66,7 +66,7 @@ def test_other_protocols_are_judged_where_they_have_runs(tmp_path):
     against = judged(tmp_path, "C4")["released"].findings[0].part
     assert (against.ours, against.against) == ("mconbo-gail+protocol=released", ("true",))
     order = [v.protocol for v in claims.judge(tmp_path, "laptop", ["walker2d"])]
-    assert order == sorted(order, key=PROTOCOLS.index) and set(order) == set(PROTOCOLS)
+    assert order == sorted(order, key=PROTOCOL_NAMES.index) and set(order) == set(PROTOCOL_NAMES)
 
 
 def test_every_protocol_is_compared_with_its_own_runs():
@@ -83,7 +83,7 @@ def test_every_protocol_is_compared_with_its_own_runs():
         ("gail", "released", "gail+protocol=released"),
         ("true+protocol=paper", "released", "true"),
         ("gail+protocol=improved", "released", "gail+protocol=improved"),
-        ("gail+demo_episodes=2", "released", "gail+demo_episodes=2+protocol=released"),
+        ("gail+demo_episodes=2", "released", "gail+protocol=released+demo_episodes=2"),
         ("gail+selection=true", "improved", "gail+protocol=improved+selection=true"),
         ("desk/gail", "released", "desk/gail+protocol=released"),
     ],
