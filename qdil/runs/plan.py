@@ -24,7 +24,11 @@ def _of(*studies: str) -> tuple[str, ...]:
 
 
 OTHERS = tuple(robot for robot in PAPER_ROBOTS if robot != "walker2d")
-CORE = _of("core", "protocols", "later")
+METHODS = (  # every method once
+    *("true", "gail", "mcond-gail", "mbo-gail", "mconbo-gail", "vail", "mconbo-vail", "mconbo-gail-obs"),
+    *("mbo-true", "airl", "giril", "pwil", "maxent"),
+)
+CORE = tuple(dict.fromkeys((*METHODS, *_of("protocols", "later"))))
 DETAILS = tuple(
     name for name in _of("every-base", "p-and-q", "demonstrations", "survival", "released") if name not in CORE
 )

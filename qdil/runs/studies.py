@@ -66,10 +66,6 @@ MAIN = ("true", "gail", "mconbo-gail")
 # A study leaves out what is not built in.
 LATER_BASES = tuple(name for name in ("gail", "vail", "diffail") if name in {base.name for base in BUILT_IN})
 STUDIES: dict[str, tuple[str, ...]] = {
-    "core": (  # every method once
-        *("true", "gail", "mcond-gail", "mbo-gail", "mconbo-gail", "vail", "mconbo-vail", "mconbo-gail-obs"),
-        *("mbo-true", "airl", "giril", "pwil", "maxent"),
-    ),
     "expert": ("true",),  # Figs. 4, 9, Table 3
     "main": MAIN,  # Figs. 5, 6
     "vail": ("true", "vail", "mconbo-vail"),  # Fig. 8
