@@ -15,7 +15,6 @@ from qdil.evidence.verdicts import NO_RUNS, SMALL_MDP, Claim, Finding, Part, Ver
 from qdil.lab.lemma import results
 from qdil.robots.register import PAPER_ROBOTS
 from qdil.robots.register import find as find_robot
-from qdil.runs.experiments import COUNTED_SEEDS
 from qdil.runs.folder import RESULTS
 from qdil.runs.studies import PROTOCOL_NAMES, budget_of
 
@@ -96,8 +95,7 @@ def _arms(claims: Sequence[Claim], env: str, budget: str, root: Path) -> Arms:
 
 def _folders(name: str, env: str, budget: str, root: Path) -> list[Path]:
     of_budget, experiment = budget_of(name)
-    runs = tables.finished_seeds([experiment], env, of_budget or budget, root)
-    return [folder for folder in runs.get(experiment, []) if tables.seed_of(folder) in COUNTED_SEEDS]
+    return tables.counted_seeds([experiment], env, of_budget or budget, root).get(experiment, [])
 
 
 def _find(part: Part, values: Arms, changes: results.Changes | None) -> Finding:

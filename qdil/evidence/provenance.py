@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 from qdil.config import GROUP_OF, SPEED_ONLY, to_json
 from qdil.evidence import tables
-from qdil.evidence.arms import ANOTHER, expert_of
+from qdil.evidence.arms import ANOTHER, expert_of, seeds_text
 from qdil.files import read_json
 from qdil.lab.lemma import results
 from qdil.methods import parse_method
-from qdil.runs.experiments import COUNTED_SEEDS
 from qdil.runs.folder import RESULTS, read_config
 from qdil.runs.studies import config_of
 
 ROOT = Path(__file__).parents[2]
 PROTOCOL = Path("docs", "protocol.md")
+NONE = "None."  # in place of a list of runs
 
 
 class Origin(NamedTuple):
@@ -51,16 +51,11 @@ def sentences(envs: Iterable[str], experiments: Sequence[str], budget: str, root
     """A list in Markdown, an item per robot that has runs: seeds, commits, and what differs between its runs."""
     lines = []
     for env in envs:
-        runs = tables.finished_seeds(experiments, env, budget, root)
-        origins = [
-            origin(name, folder, env, budget)
-            for name, folders in runs.items()
-            for folder in folders
-            if tables.seed_of(folder) in COUNTED_SEEDS
-        ]
+        runs = tables.counted_seeds(experiments, env, budget, root)
+        origins = [origin(name, folder, env, budget) for name, folders in runs.items() for folder in folders]
         if origins:
             lines.append(f"* **{env}**: " + " ".join([*_counts(origins), *_apart(origins)]))
-    return "\n".join(lines) or "None."
+    return "\n".join(lines) or NONE
 
 
 def lemma_sentence(budget: str, root: Path = RESULTS) -> list[str]:
@@ -90,14 +85,19 @@ def _short(content: dict[str, Any]) -> str:
 
 
 def _counts(origins: Sequence[Origin]) -> list[str]:
-    seeds: dict[str, list[str]] = {}
-    for one in origins:
-        seeds.setdefault(one.experiment, []).append(str(one.seed))
     commits = Counter(one.commit for one in origins)
     return [
-        "Seeds " + "; ".join(f"{', '.join(numbers)} of `{name}`" for name, numbers in seeds.items()) + ".",
+        f"Seeds {_seeds(origins)}.",
         "Made at " + ", ".join(f"{commit} ({count})" for commit, count in commits.items()) + ".",
     ]
+
+
+def _seeds(origins: Sequence[Origin]) -> str:
+    """The seeds of each experiment: "1-3 of `gail`; 1-2 of `vail`"."""
+    seeds: dict[str, list[int]] = {}
+    for one in origins:
+        seeds.setdefault(one.experiment, []).append(one.seed)
+    return "; ".join(f"{seeds_text([numbers])} of `{name}`" for name, numbers in seeds.items())
 
 
 def _apart(origins: Sequence[Origin]) -> list[str]:
@@ -106,8 +106,8 @@ def _apart(origins: Sequence[Origin]) -> list[str]:
     for name in sorted({name for one in origins for name in one.other_settings}):
         where = [f"`{one.experiment}` {one.seed}" for one in origins if name in one.other_settings]
         found.append(f"**{name} was not today's** in {', '.join(where)}.")
-    if others := [f"`{one.experiment}` {one.seed}" for one in origins if one.expert == ANOTHER]:
-        found.append(f"**Not known to have learned from the expert of their own seed**: {', '.join(others)}.")
+    if others := [one for one in origins if one.expert == ANOTHER]:
+        found.append(f"**Not known to have learned from the expert of their own seed**: {_seeds(others)}.")
     for seed in sorted({one.seed for one in origins}):
         experts = {one.expert for one in origins if one.seed == seed} - {None, ANOTHER}
         if len(experts) > 1:

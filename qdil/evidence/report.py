@@ -262,7 +262,9 @@ def _provenance(verdicts: Sequence[Verdict], envs: Sequence[str], budget: str, r
         of_budget, experiment = budget_of(name)
         by_budget.setdefault(of_budget or budget, {})[experiment] = None
     texts = [provenance.sentences(envs, tuple(names), at, root) for at, names in by_budget.items()]
-    others = [f"At `{at}`:\n\n{text}" for at, text in zip(list(by_budget)[1:], texts[1:], strict=True)]
+    others = [
+        f"At `{at}`:\n\n{text}" for at, text in list(zip(by_budget, texts, strict=True))[1:] if text != provenance.NONE
+    ]
     lemma = provenance.lemma_sentence(budget, root)
     return "\n\n".join(["\n".join([texts[0], *lemma]), *others])
 
@@ -275,7 +277,7 @@ def _envs(verdicts: Sequence[Verdict]) -> list[str]:
 
 def over_robots(envs: Iterable[str], budget: str, root: Path) -> str:
     """QD-score as a share of the expert's, over robots and seeds, for the methods of Table 1 that have runs."""
-    runs = {env: tables.finished_seeds(STUDIES["baselines"], env, budget, root) for env in envs}
+    runs = {env: tables.counted_seeds(STUDIES["baselines"], env, budget, root) for env in envs}
     shares = tables.share_of_expert(runs)
     if shares.empty:
         return "There are no runs of an expert to compare with."

@@ -11,7 +11,7 @@ import pandas as pd
 
 from qdil.evidence import corrected, paper, stats
 from qdil.robots.register import PAPER_ROBOTS
-from qdil.runs.experiments import finished
+from qdil.runs.experiments import COUNTED_SEEDS, finished
 from qdil.runs.folder import RESULTS
 from qdil.runs.studies import without_protocol
 
@@ -47,6 +47,13 @@ def finished_seeds(names: Iterable[str], env: str, budget: str, root: Path = RES
     found = {path.name for name in names for path in (root / budget / env / name).glob("seed-*")}
     seeds = sorted(int(name.removeprefix("seed-")) for name in found if name.removeprefix("seed-").isdigit())
     return finished(names, env, budget, seeds, root)
+
+
+def counted_seeds(names: Iterable[str], env: str, budget: str, root: Path = RESULTS) -> dict[str, list[Path]]:
+    """``finished_seeds`` without the seeds of trials: those that claims are judged from."""
+    runs = finished_seeds(names, env, budget, root)
+    counted = {name: [folder for folder in paths if seed_of(folder) in COUNTED_SEEDS] for name, paths in runs.items()}
+    return {name: paths for name, paths in counted.items() if paths}
 
 
 def read_metrics(runs: Runs) -> dict[str, list[pd.DataFrame]]:

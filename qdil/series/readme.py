@@ -50,7 +50,7 @@ def results(root: Path | None = None) -> str:
 
     A row per method, mean ± standard deviation over seeds.
     """
-    runs = tables.finished_seeds(MAIN, ROBOT, BUDGET, root or RESULTS)
+    runs = tables.counted_seeds(MAIN, ROBOT, BUDGET, root or RESULTS)
     metrics = ("qd_score", "corrected_qd_score", "coverage", "corrected_coverage", "relanded")
     shown = tables.summary(runs)[[*(tables.COLUMNS[name] for name in metrics), "seeds"]]
     return markdown_table(shown.rename(index=title).rename_axis("method").reset_index(), right=shown.columns)

@@ -308,7 +308,7 @@ def test_pages_list_differences_between_runs(tmp_path):
     page = claims.markdown(claims.judge(tmp_path), "laptop", tmp_path)
     assert "**gamma was not today's** in `gail` 1." in page and "eval_chunk_steps" not in page
     assert "0123456 with local changes (1)" in page and "0123456 (1)" in page
-    assert "**Not known to have learned from the expert of their own seed**: `mconbo-gail` 1, `gail` 1." in page
+    assert "**Not known to have learned from the expert of their own seed**: 1 of `mconbo-gail`; 1 of `gail`." in page
 
 
 def test_every_rule_is_explained_in_the_docs():
@@ -341,14 +341,20 @@ def test_the_command_refuses_what_does_not_exist(tmp_path, arguments, named, cap
     assert "there is no folder" in capsys.readouterr().err and not (tmp_path / "reslts").exists()
 
 
+def listed_seeds(text: str) -> list[int]:
+    """The seeds in a text such as "1-3, 5"."""
+    ends = [(int(first), int(last or first)) for first, last in re.findall(r"(\d+)(?:-(\d+))?", text)]
+    return [seed for first, last in ends for seed in range(first, last + 1)]
+
+
 def test_the_kept_page_agrees_with_the_runs_that_it_names(tmp_path):
     page = (ROOT / "results" / "claims.md").read_text()
     listed = subprocess.run(["git", "-C", ROOT, "ls-files", "results/laptop"], capture_output=True, text=True).stdout
     kept = {Path(line).parent for line in listed.split() if line.endswith("manifest.json")}
     for env, experiments in re.findall(r"^\* \*\*(\w+)\*\*: Seeds (.*?)\. Made at", page, re.MULTILINE):
-        for seeds, experiment in re.findall(r"([\d, ]+) of `(.+?)`", experiments):
-            for seed in seeds.split(","):
-                folder = folder_of(experiment, env, "laptop", int(seed), Path("results"))
+        for seeds, experiment in re.findall(r"([\d, -]+) of `(.+?)`", experiments):
+            for seed in listed_seeds(seeds):
+                folder = folder_of(experiment, env, "laptop", seed, Path("results"))
                 assert folder in kept, f"results/claims.md names {folder}, which is not kept"
                 shutil.copytree(ROOT / folder, tmp_path / folder.relative_to("results"))
     if "`lemma.json`" in page:

@@ -110,7 +110,7 @@ def test_seeds_of_trials_do_not_count(tmp_path):
     assert found.verdict == REPRODUCED and found.findings[0].seeds == ((1, 2, 3, 11),) * 2
     assert not {0, 6, 101} & set(COUNTED_SEEDS)
     page = claims.markdown(claims.judge(tmp_path), "laptop", tmp_path)
-    assert "1, 2, 3, 11 of `mconbo-gail`" in page and "101" not in page.split("## Runs")[1].split("##")[0]
+    assert "1-3, 11 of `mconbo-gail`" in page and "101" not in page.split("## Runs")[1].split("##")[0]
 
 
 def test_runs_that_learned_from_one_expert_are_not_paired_and_marked(tmp_path):
@@ -195,7 +195,7 @@ def test_gains_of_two_budgets_are_compared_over_all_seeds_of_each(tmp_path, monk
     assert row[report.DIFFERENCE].startswith("+100.2% [") and row["verdict"] == "yes"
     assert "Q6b" not in {v.claim.id for v in claims.judge(tmp_path, "full")}
     page = claims.markdown(claims.judge(tmp_path), "laptop", tmp_path)
-    assert "At `desk`:" in page and "1, 2, 3 of `mconbo-gail`" in page.split("At `desk`:")[1]
+    assert "At `desk`:" in page and "1-3 of `mconbo-gail`" in page.split("At `desk`:")[1]
 
 
 def test_the_page_names_the_commit_of_the_protocol(tmp_path):
