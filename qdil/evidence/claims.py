@@ -8,9 +8,10 @@ from qdil.errors import ConfigError
 from qdil.evidence import arms, tables
 from qdil.evidence.arms import Arm
 from qdil.evidence.catalogue import CLAIMS, LEMMA, parts_under
+from qdil.evidence.claims_page import markdown, plain, verdicts_on, write
 from qdil.evidence.corrected import CORRECTED, METRICS
 from qdil.evidence.readings import READINGS
-from qdil.evidence.report import markdown, overview, plain, table, verdicts_on, write
+from qdil.evidence.report import overview, table
 from qdil.evidence.verdicts import NO_RUNS, SMALL_MDP, Claim, Finding, Part, Verdict, find, with_holm
 from qdil.lab.lemma import results
 from qdil.robots.register import PAPER_ROBOTS

@@ -9,7 +9,7 @@ import pytest
 from fake_runs import write_arms, write_run
 
 from qdil.config import BUDGETS, LAPTOP
-from qdil.evidence import claims, provenance, report, verdicts
+from qdil.evidence import claims, claims_page, provenance, report, verdicts
 from qdil.evidence.arms import ANOTHER, Arm
 from qdil.evidence.corrected import METRICS
 from qdil.evidence.stats import Interval
@@ -123,7 +123,7 @@ def test_runs_that_learned_from_one_expert_are_not_paired_and_marked(tmp_path):
     found = judged(tmp_path, "C1")["paper"]
     assert found.verdict == INCONCLUSIVE and not found.findings[0].paired
     page = claims.markdown([found], "laptop", tmp_path)
-    assert "| 1-3 ‡ " in page and report.UNPAIRED_NOTE in page
+    assert "| 1-3 ‡ " in page and claims_page.UNPAIRED_NOTE in page
 
 
 def test_holm_corrects_for_a_claims_comparisons():
