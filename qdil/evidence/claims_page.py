@@ -26,7 +26,7 @@ questions (Q) are answered with yes and no.
 *As claimed*: by the paper's metrics, which keep the best score that a candidate ever had. *Corrected*: every elite is
 evaluated again on fresh episodes and counts in the cell where it lands. *Holm*: what is left of both verdicts if the
 claim's comparisons are corrected for their number. Runs are paired by seed: a seed's runs learned from one expert. More
-in [how claims are judged](../docs/claims.md) and in [the protocol](../docs/protocol.md), which has the exact rules."""
+in [how claims are judged](DOCS/claims.md) and in [the protocol](DOCS/protocol.md), which has the exact rules."""
 SCALE = {
     "smoke": "Nothing is learned at this budget: it tests that every line runs, and its verdicts mean nothing.",
     "desk": "Our numbers and the paper's have the same units; our searches are far shorter: compare order, not size.",
@@ -73,9 +73,10 @@ def _notes(rows: pd.DataFrame) -> list[str]:
 def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> str:
     """The page ``claims.md``: verdicts, comparisons, the runs behind them, and every claim's rule."""
     details, claims, envs = table(verdicts), dict.fromkeys(v.claim for v in verdicts), _envs(verdicts)
+    docs = "../" * (len(page_of(budget, RESULTS).parts) - 1) + "docs"
     parts = [
         f"# The paper's claims, judged from runs at the {budget} budget",
-        f"Written by `qdil claims --budget {budget}`, from finished runs alone.\n{HOW_TO_READ}",
+        f"Written by `qdil claims --budget {budget}`, from finished runs alone.\n{HOW_TO_READ.replace('DOCS', docs)}",
         "## Verdicts",
         *(part for env in envs for part in (f"### {env}", verdicts_on(verdicts, env))),
         *_notes(details)[:-1],
@@ -85,7 +86,7 @@ def markdown(verdicts: Sequence[Verdict], budget: str, root: Path = RESULTS) -> 
         "## Over all robots",
         over_robots(envs, budget, root),
         "## Runs",
-        f"The protocol is [`docs/protocol.md`](../docs/protocol.md) of commit {provenance.protocol_commit()}. "
+        f"The protocol is [`docs/protocol.md`]({docs}/protocol.md) of commit {provenance.protocol_commit()}. "
         "Runs made at an earlier commit are older than it.",
         _provenance(verdicts, envs, budget, root),
         "## Rules",
