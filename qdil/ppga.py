@@ -47,6 +47,9 @@ class Info(NamedTuple):
     added: float  # candidates that improved the soft archive
     not_finite: float  # candidates left out because their physics diverged
     walk_reward: float  # fitness reward per step of the walk
+    walk_learned: float  # the reward model's own part of it, without the measure bonus
+    walk_q_share: float  # share of the walk's steps that get q of the bonus (or would, with a bonus)
+    gradient_q_share: float  # the same of the gradient phase, for the copy that is trained on fitness
     true_reward: float  # the environment's own, per step of the walk
     rolled_back: float  # training phases discarded because a number was not finite
     approx_kl: float  # nats, of the walk's last update
@@ -60,11 +63,15 @@ class Info(NamedTuple):
         return {**named, **plain, **self.reward}
 
 
-def begin(config: Config, demos: Demonstrations | None) -> Search:
-    """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives."""
-    engine, ppga = Engine(config), config.ppga
-    if demos is not None:
-        check_fits(demos, engine.env)
+def begin(config: Config, demos: Demonstrations | None, heldout: Demonstrations | None = None) -> Search:
+    """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives.
+
+    ``heldout``: steps of the demonstrators that nothing learns from, for measurements (``fitness.calibration``).
+    """
+    engine, ppga = Engine(config, heldout), config.ppga
+    for given in (demos, heldout):
+        if given is not None:
+            check_fits(given, engine.env)
     theta_size = networks.flat_size(engine.search.template)
     archives = archive.make(
         ppga.cells, engine.k, theta_size, engine.env.obs_size, ppga.archive_learning_rate, ppga.threshold_min
@@ -279,6 +286,9 @@ def _info(
         added=float(accepted.sum()),
         not_finite=float((~archive.usable(candidates)).sum()),
         walk_reward=float(walked.info.fitness_reward),
+        walk_learned=float(walked.info.learned_reward),
+        walk_q_share=float(to_host(walked.info.q_share).mean()),
+        gradient_q_share=float(to_host(phases[0].info.q_share)[0]),
         true_reward=float(walked.info.true_reward),
         rolled_back=float(sum(phase.rolled_back for phase in phases)),
         approx_kl=float(walked.info.approx_kl),

@@ -28,6 +28,14 @@ class Transitions(NamedTuple):
         return self.terminated | self.truncated
 
 
+class Rewards(NamedTuple):
+    """The rewards of a training rollout, axes (T, E), per step."""
+
+    fitness: jax.Array  # (T, E) what VPPO maximises: the reward model's reward with the measure bonus (eq. 4)
+    learned: jax.Array  # (T, E) the reward model's reward alone
+    q_share: jax.Array  # (T, E) the factor of q: 1 where eq. 2 adds q, otherwise 0; 1 / (1 + ρ) in the single-step bonus
+
+
 class ActionSample(NamedTuple):
     """How an action was drawn, for PPO; axes (T, E) in front."""
 

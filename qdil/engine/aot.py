@@ -39,14 +39,19 @@ class Compiler:
 
 
 def compile_all(
-    search: SearchPrograms, reward: RewardPrograms, config: Config, key: jax.Array, demos: Demonstrations | None
+    search: SearchPrograms,
+    reward: RewardPrograms,
+    config: Config,
+    key: jax.Array,
+    demos: Demonstrations | None,
+    heldout: Demonstrations | None = None,
 ) -> list[str]:
-    """Compile every program that a run with this ``config``, ``key`` and ``demos`` calls; returns their names."""
+    """Compile every program that a run with these arguments calls (see ``ppga.begin``); returns their names."""
     # Hosts must compile in the same order, so each uses a single thread if there are several.
     threads = ThreadPoolExecutor(2 if jax.process_count() == 1 else 1, "compile")
     try:
         compiler = Compiler(threads)
-        _compile_in_order(compiler, search, reward, config, key, demos)
+        _compile_in_order(compiler, search, reward, config, key, demos, heldout)
         for compiling in compiler.compiling:
             compiling.result()
     finally:
@@ -61,6 +66,7 @@ def _compile_in_order(
     config: Config,
     key: jax.Array,
     demos: Demonstrations | None,
+    heldout: Demonstrations | None = None,
 ) -> None:
     """Compile the simulation's programs first, because they take longest; the others in the order of their calls."""
     arguments = _arguments(config, search)
@@ -75,8 +81,8 @@ def _compile_in_order(
 
     state, memory = compiler(reward.init, key, demos)
     context = RewardContext(stats.normaliser, occupied)
-    _, fitness = compiler(reward.compute, state, memory, context, bonus, transitions)
-    experience = Experience(transitions, sample, fitness)
+    _, rewards = compiler(reward.compute, state, memory, context, bonus, transitions)
+    experience = Experience(transitions, sample, rewards)
     copies, stats, _ = compiler(search.learn, learn_key, number, copies, stats, experience, weighting, number)
     _, theta, _ = compiler(search.first_copy, copies, stats)
     compiler(search.discard_update, envs, train_state.policy)
@@ -89,7 +95,7 @@ def _compile_in_order(
     compiler(search.finish_episodes, tally, so_far.fitness)
     if reward.model.learns:
         store = transitions if config.reward.replay_share > 0 else ()
-        compiler(reward.update, key, state, context, demos, transitions, store)
+        compiler(reward.update, key, state, context, demos, heldout, transitions, store)
         if store:
             compiler(reward.keep_steps, key, store, lengths, steps, counted)
         if config.reward.reward_schedule == "update":

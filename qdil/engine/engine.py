@@ -54,11 +54,13 @@ class Engine:
 
     ``occupied`` (cells, …) bool marks the filled archive cells, for the bonus. Raises ConfigError if robots or
     candidates cannot be shared out over the devices.
+
+    ``heldout``: demonstrations that no model learns from; the reward model's reward for them is measured.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, heldout: Demonstrations | None = None) -> None:
         method = parse_method(config.method)
-        self.config = config
+        self.config, self.heldout = config, heldout
         self.env: Environment = register.make(config.env, config.simulation.backend)
         per_copy = config.ppo.num_envs // (1 + self.k)
         self.num_devices = choose_num_devices(config.devices, per_copy, config.ppga.candidates)
@@ -91,7 +93,7 @@ class Engine:
 
     def compile_all(self, key: jax.Array, demos: Demonstrations | None) -> None:
         """Compile every program that a run with this ``key`` and ``demos`` will call."""
-        aot.compile_all(self.search, self.reward, self.config, key, demos)
+        aot.compile_all(self.search, self.reward, self.config, key, demos, self.heldout)
 
     def init(self, key: jax.Array, demos: Demonstrations | None) -> State:
         """The state before the first update."""
@@ -175,12 +177,12 @@ class Engine:
         for number in numbers:
             envs, transitions, sample = search.collect(copies, state.stats, state.envs)
             context = RewardContext(state.stats.normaliser, occupied)
-            memory, fitness = self.reward.compute(state.reward, state.memory, context, p_and_q, transitions)
+            memory, rewards = self.reward.compute(state.reward, state.memory, context, p_and_q, transitions)
             state = state._replace(envs=envs, memory=memory)
             # With about thirty launched programs in the queue, a launch blocks a thread that a device may need, and the
             # two wait for each other for ever. So the host waits for the previous update here.
             jax.block_until_ready(info)
-            experience = Experience(transitions, sample, fitness)
+            experience = Experience(transitions, sample, rewards)
             if reward_learns:
                 assert demos is not None
                 rows = transitions if tied else search.steps_of_first_copy(transitions)
@@ -247,7 +249,9 @@ class Engine:
         """Algorithm 1, line 18: the reward model learns from demonstrations and a rollout of the policy."""
         key, update_key = jax.random.split(state.key)
         context = RewardContext(state.stats.normaliser, laid_out(occupied, replicated(self.search.mesh)))
-        reward, info = self.reward.update(update_key, state.reward, context, demos, transitions, state.store)
+        reward, info = self.reward.update(
+            update_key, state.reward, context, demos, self.heldout, transitions, state.store
+        )
         return state._replace(key=key, reward=reward), info
 
     def restart_at(self, state: State, elite: dict[str, np.ndarray]) -> State:

@@ -37,6 +37,7 @@ from qdil.types import (
     ObsStats,
     Params,
     RewardContext,
+    Rewards,
     RewardState,
     Transitions,
 )
@@ -173,8 +174,8 @@ class RewardPrograms:
         context: RewardContext,
         bonus: jax.Array,
         transitions: Transitions,
-    ) -> tuple[TrainingMemory, jax.Array]:
-        """The fitness reward of a rollout (eq. 4); ``bonus`` (2,) is (p, q)."""
+    ) -> tuple[TrainingMemory, Rewards]:
+        """The fitness reward of a rollout (eq. 4) and its parts; ``bonus`` (2,) is (p, q)."""
         return fitness.compute_reward(self.model, self.rule, reward, memory, context, bonus, transitions, AXIS)
 
     @program(gives=SHARDED)
@@ -205,25 +206,28 @@ class RewardPrograms:
         picks = replay.pick(key, share, store.reward.size, len(before), length)
         return replay.keep(store, picks, before, transitions, counted)
 
-    @program(takes=(REPLICATED, REPLICATED, REPLICATED, REPLICATED, ROLLOUT, ROLLOUT), gives=REPLICATED)
+    @program(takes=(REPLICATED, REPLICATED, REPLICATED, REPLICATED, REPLICATED, ROLLOUT, ROLLOUT), gives=REPLICATED)
     def update(
         self,
         key: jax.Array,
         reward: RewardState,
         context: RewardContext,
         demos: Demonstrations,
+        heldout: Demonstrations | None,
         transitions: Transitions,
         store: Store,
     ) -> tuple[RewardState, dict[str, jax.Array]]:
         """A round of the model's learning. Every device learns the same model from all robots' steps.
 
         With a ``store``, its steps follow the rollout's in time, so that half of all policy rows are from either.
+        Nothing learns from ``heldout``: it serves a measurement (``fitness.calibration``).
         """
         gather = partial(jax.lax.all_gather, axis_name=AXIS, axis=1, tiled=True)
-        steps = jax.tree.map(gather, transitions)
+        fresh = steps = jax.tree.map(gather, transitions)
         if isinstance(store, Transitions):
             steps = jax.tree.map(lambda new, old: jnp.concatenate([new, gather(old)]), steps, store)
-        return fitness.update_reward(self.model, key, reward, context, demos, steps)
+        learned, info = fitness.update_reward(self.model, key, reward, context, demos, steps)
+        return learned, info | fitness.calibration(self.model, learned, context, demos, heldout, fresh)
 
 
 @lru_cache(maxsize=4)

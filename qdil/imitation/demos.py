@@ -91,6 +91,23 @@ def expert_of(path: Path) -> dict[str, Any] | None:
         }
 
 
+def load_heldout(path: Path, needs_actions: bool = True) -> Demonstrations | None:
+    """The steps of a demonstrations file that nothing learns from: further episodes of the demonstrators.
+
+    None for a file without them, or without their actions where ``needs_actions``. Raises ValueError for columns of
+    unequal numbers of rows, and for numbers that are not finite.
+    """
+    with np.load(path, allow_pickle=False) as file:
+        data = {name: file[f"heldout_{name}"] for name in FIELDS if f"heldout_{name}" in file.files}
+    if "obs" in data and not needs_actions:
+        data.setdefault("action", np.zeros((len(data["obs"]), 0), np.float32))
+    if set(FIELDS) - set(data) or not len(data["obs"]):
+        return None
+    if len({len(column) for column in data.values()}) > 1 or not all(np.isfinite(c).all() for c in data.values()):
+        raise ValueError(f"{path} has held-out steps of unequal numbers of rows, or numbers that are not finite.")
+    return Demonstrations(*(jnp.asarray(data[name], jnp.float32) for name in FIELDS))
+
+
 def _columns(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
     """A file's arrays by name: ``FIELDS`` in float32, ``action`` of width 0 if it is missing. Raises ValueError."""
     try:

@@ -17,7 +17,9 @@ from qdil.imitation.reward_model import Demonstrations, RewardModel
 from qdil.methods import parse_method
 from qdil.rl.evaluate import RewardSum, sum_counted
 from qdil.rl.rollout import where_each
-from qdil.types import RewardContext, RewardMemory, RewardState, Transitions
+from qdil.types import RewardContext, RewardMemory, Rewards, RewardState, Transitions
+
+MEASURED = 8  # one in this many of a rollout's time steps is enough to measure a mean reward
 
 
 class BonusRule(NamedTuple):
@@ -64,24 +66,25 @@ def compute_reward(
     bonus: jax.Array,
     transitions: Transitions,
     axis: str | None = None,
-) -> tuple[TrainingMemory, jax.Array]:
-    """The fitness reward (T, E) of a training rollout: the model's reward plus the measure bonus (eq. 4).
+) -> tuple[TrainingMemory, Rewards]:
+    """The fitness reward (T, E) of a training rollout: the model's reward plus the measure bonus (eq. 4); its parts.
 
     ``bonus`` (2,) is (p, q) of eq. 2, and (0, 0) for methods without the bonus. ``axis`` as in ``visit_shares``.
     Also returns the memory after the rollout.
     """
     p, q, visits = bonus[0], bonus[1], memory.visits
-    of_model, rewards = model.reward(reward, memory.model, context, transitions)
+    of_model, learned = model.reward(reward, memory.model, context, transitions)
     if rule.counts_visits:
         assert not isinstance(visits, tuple), "begin_training counts visits by the same rule"
         visits, shares = visit_shares(transitions.proxy, visits, axis)
     if rule.scope == "step":
-        rewards += p + q * visit_bonus(shares)
+        q_share = visit_bonus(shares)
     else:
-        rewards += measure_bonus(transitions, context.occupied, p, q, rule.scope)
+        q_share = measure_bonus(transitions, context.occupied, 0.0, 1.0, rule.scope)
+    rewards = learned + (p + q * q_share)
     if rule.visits:
         rewards += visit_bonus(shares)
-    return TrainingMemory(of_model, visits), rewards
+    return TrainingMemory(of_model, visits), Rewards(rewards, learned, q_share)
 
 
 def begin_scoring(model: RewardModel, reward: RewardState, num_episodes: int) -> RewardSum:
@@ -129,3 +132,35 @@ def update_reward(
     healthy = all_finite(learned)
     kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), learned, reward)
     return kept, {**info, "reward_rolled_back": 1.0 - healthy}
+
+
+def calibration(
+    model: RewardModel,
+    reward: RewardState,
+    context: RewardContext,
+    demos: Demonstrations,
+    heldout: Demonstrations | None,
+    transitions: Transitions,
+) -> dict[str, jax.Array]:
+    """The model's mean reward per step () for demonstrated steps, for held-out ones, and for the policy's (T, E).
+
+    A reward that generalises is nearly as high for the held-out steps as for those that it learned from; one that has
+    learned the demonstrations by heart is not. Each row counts as an episode of one step. Both kinds of rows are
+    normalised as the policy's are, because the question is what a policy would earn by such steps. Without held-out
+    rows their measurement is left out.
+    """
+    rows = {"expert_reward": demos} | ({} if heldout is None else {"heldout_reward": heldout})
+    steps = {name: as_steps(these) for name, these in rows.items()}
+    steps["policy_reward"] = jax.tree.map(lambda x: x[::MEASURED], transitions)
+
+    def mean_reward(some: Transitions) -> jax.Array:
+        return jnp.mean(model.reward(reward, model.begin(reward, some.obs.shape[1]), context, some)[1])
+
+    return {name: mean_reward(some) for name, some in steps.items()}
+
+
+def as_steps(demos: Demonstrations) -> Transitions:
+    """Expert rows (N) as steps (1, N) of as many robots, each the only step of its episode. Their true reward is 0."""
+    obs, action, next_obs, proxy = (x[None] for x in demos)
+    zero, never = jnp.zeros(obs.shape[:2]), jnp.zeros(obs.shape[:2], bool)
+    return Transitions(obs, action, next_obs, proxy, zero, never, ~never, proxy)

@@ -26,7 +26,7 @@ from qdil.rl import networks
 from qdil.rl.normalise import ReturnStats, init_return_stats, normalise_obs, update_obs_stats, update_return_stats
 from qdil.rl.rollout import Act, EnvBatch, rollout, split_each, where_each
 from qdil.robots.environment import Environment
-from qdil.types import ActionSample, ObsStats, Params, Transitions
+from qdil.types import ActionSample, ObsStats, Params, Rewards, Transitions
 
 
 class TrainState(NamedTuple):
@@ -40,11 +40,11 @@ class TrainState(NamedTuple):
 
 
 class Experience(NamedTuple):
-    """A rollout with its fitness reward, axes (T, E)."""
+    """A rollout with its rewards, axes (T, E)."""
 
     transitions: Transitions
     sample: ActionSample
-    fitness: jax.Array  # (T, E) the reward model's reward with the measure bonus (eq. 4)
+    rewards: Rewards
 
 
 class Weighting(NamedTuple):
@@ -55,11 +55,13 @@ class Weighting(NamedTuple):
 
 
 class Info(NamedTuple):
-    """Measurements of one update, means over copies and robots."""
+    """Measurements of one update, means over robots and, but for ``q_share``, over copies."""
 
     approx_kl: jax.Array  # () nats, of the last epoch
     fitness_reward: jax.Array  # () per step
+    learned_reward: jax.Array  # () per step, without the measure bonus
     true_reward: jax.Array  # () per step
+    q_share: jax.Array  # (K,) the share of a copy's steps that get q of the measure bonus
     action_std: jax.Array  # () action units
 
 
@@ -168,17 +170,14 @@ def learn(
     ``key``, the same on every device, shuffles the time steps. Runs inside ``shard_map``.
     """
     copies = weighting.weights.shape[0]
-    steps, sample, fitness = experience
+    steps, sample, (fitness, learned, q_share) = experience
     rewards = jnp.concatenate([fitness[..., None], steps.proxy], axis=-1)
     transitions, sample, rewards = jax.tree.map(lambda x: to_copies(x, copies, axis=1), (steps, sample, rewards))
     train_state, batch = _prepare(train_state, transitions, sample, rewards, weighting, stats, ppo)
     train_state, kl = _train_epochs(train_state, batch, key, weighting.tied, epochs, ppo)
-    info = Info(
-        jnp.mean(kl),
-        jax.lax.pmean(jnp.mean(fitness), AXIS),
-        jax.lax.pmean(jnp.mean(steps.reward), AXIS),
-        jnp.mean(jnp.exp(train_state.policy["log_std"])),
-    )
+    shares = jnp.mean(to_copies(q_share, copies, axis=1), axis=(1, 2))
+    per_step = jax.lax.pmean((jnp.mean(fitness), jnp.mean(learned), jnp.mean(steps.reward), shares), AXIS)
+    info = Info(jnp.mean(kl), *per_step, jnp.mean(jnp.exp(train_state.policy["log_std"])))
     return train_state, update_obs_stats(stats, steps.obs), info
 
 

@@ -41,6 +41,7 @@ class Position(NamedTuple):
     rows: tuple[dict[str, float], ...] = ()  # of metrics.csv
     history: History = empty()  # of history.npz
     rolled_back: float = 0.0  # training phases discarded during warm-up; added to the first row of metrics.csv
+    age: int = 0  # iterations whose walks moved θ_μ since the last restart, or since the run began
     processes: tuple[dict[str, str], ...] = ()  # ``manifest.this_process`` of each process that worked on the run
 
 

@@ -54,7 +54,7 @@ def train(
 
     if hosts.run_on_host0(is_done):  # before the lock, which needs a folder that can be written to
         return False
-    demos = _checked(config, demos_file)
+    demos, heldout = _checked(config, demos_file)
     with ExitStack() as stack:
 
         def lock_and_check_again() -> bool:
@@ -65,7 +65,7 @@ def train(
             return False
         if report is not None:
             report.announce(folder, checkpoint.reached(folder))
-        _train(config, folder, demos, demos_file, report, save_seconds)
+        _train(config, folder, demos, heldout, demos_file, report, save_seconds)
     return True
 
 
@@ -73,13 +73,14 @@ def _train(
     config: Config,
     folder: Path,
     demos: Demonstrations | None,
+    heldout: Demonstrations | None,
     demos_file: Path | None,
     report: Report | None,
     save_seconds: float,
 ) -> None:
     """Everything that happens while the folder is locked: train, score the elites again, write the results."""
     process = manifest.this_process()
-    search = ppga.begin(config, demos)
+    search = ppga.begin(config, demos, heldout)
     if hosts.is_first():
         write_json(folder / "config.json", to_json(config))
     saver = _Saver(folder, sha256(demos_file) if demos_file else None, save_seconds)
@@ -135,8 +136,8 @@ def _check_demonstrations(folder: Path, demos_file: Path | None) -> None:
         )
 
 
-def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
-    """The demonstrations, or None for a method without any.
+def _checked(config: Config, demos_file: Path | None) -> tuple[Demonstrations | None, Demonstrations | None]:
+    """The demonstrations and the held-out ones; None for a method or a file without any.
 
     Raises ConfigError for demonstrations that are missing or do not fit the robot, and for devices that do not exist
     or do not divide the robots.
@@ -144,14 +145,15 @@ def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
     try:
         engine = Engine(config)  # compiles nothing yet
         if demos_file is None:
-            return None
+            return None, None
         if not demos_file.is_file():
             raise ConfigError(f"no demonstrations at {demos_file}: make them with '{_demos_command(config)}'.")
+        needs_actions = not parse_method(config.method).obs_only
         demos = demonstrations.load(
             demos_file,
             config.env,
             config.simulation.backend,
-            not parse_method(config.method).obs_only,
+            needs_actions,
             config.demos.expert_alignment,
             config.seed,
             {
@@ -161,9 +163,12 @@ def _checked(config: Config, demos_file: Path | None) -> Demonstrations | None:
             },
         )
         demonstrations.check_fits(demos, engine.env)
+        heldout = demonstrations.load_heldout(demos_file, needs_actions)
+        if heldout is not None:
+            demonstrations.check_fits(heldout, engine.env)
     except ValueError as error:
         raise ConfigError(str(error)) from None
-    return demos
+    return demos, heldout
 
 
 def _demos_command(config: Config) -> str:
@@ -215,11 +220,13 @@ def _iteration(search: ppga.Search, position: Position, start: float) -> tuple[p
     """
     search, info = ppga.iteration(search)
     info = info._replace(rolled_back=info.rolled_back + position.rolled_back)
+    walk_age, age = _ages(search.config, bool(info.restarts), position.age)
     position = position._replace(
         iteration=position.iteration + 1,
         env_steps=position.env_steps + info.steps,
         restarts=position.restarts + info.restarts,
         rolled_back=0.0,
+        age=age,
     )
     elites, cells = archive.returns(search.archives), int(search.archives.result.cells)
     row = {
@@ -228,10 +235,22 @@ def _iteration(search: ppga.Search, position: Position, start: float) -> tuple[p
         "wall_seconds": round(time.monotonic() - start, 3),
         **archive.metrics(elites, cells),
         "restarts": int(position.restarts),
+        "age": walk_age,
         **info.columns(),
     }
     past = history.append(position.history, position.iteration, elites, cells)
     return search, position._replace(rows=(*position.rows, row), history=past)
+
+
+def _ages(config: Config, restarted: bool, age: int) -> tuple[int, int]:
+    """The age of θ_μ in an iteration's walk, and in the next iteration's unless that restarts before its walk.
+
+    The age is the number of iterations whose walks moved θ_μ since the last restart, or since the run began; ``age`` is
+    that before this iteration's walk.
+    """
+    if restarted and config.ppga.restart_order == "before-walk":
+        return 0, 1
+    return age, 0 if restarted else age + 1
 
 
 class _Saver:

@@ -17,7 +17,7 @@ from qdil.devices.mesh import AXIS, make_mesh
 from qdil.rl import networks, vppo
 from qdil.rl.normalise import init_obs_stats
 from qdil.rl.rollout import start
-from qdil.types import ActionSample
+from qdil.types import ActionSample, Rewards
 
 EPISODE_LENGTH = 8
 K, ENVS = 3, 24  # copies (one per objective), robots
@@ -160,7 +160,7 @@ def compile_updates(settings=SETTINGS, num_devices=1, copies=K):
             envs, steps, sample = vppo.collect(env, length, EPISODE_LENGTH, train_state, stats, envs)
             carry, fitness = true_rewards(carry, stats, steps)
             key = jax.random.fold_in(jax.random.key(3), stats.seen.astype(int))
-            experience = vppo.Experience(steps, sample, fitness)
+            experience = vppo.Experience(steps, sample, Rewards(fitness, fitness, 0.0 * fitness))
             weighting = vppo.Weighting(weights, tied)
             train_state, stats, info = vppo.learn(settings, key, train_state, stats, experience, weighting, epochs)
             return train_state, stats, envs, carry, steps, info
