@@ -180,6 +180,40 @@ def _claims(args: argparse.Namespace) -> int:
     return 0
 
 
+# diagnose
+
+
+def _add_diagnose(parser: Parser) -> None:
+    parser.description = (
+        "Does an imitation work? Print a run's numbers beside what a healthy run shows, with a verdict on each: of its "
+        "reward, its archive and its search. Reads the files that exist, so the run need not be finished."
+    )
+    parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="the run's folder (default: by --env …)")
+    parser.add_argument("--env", help=f"robot: {', '.join(robot_names())} (default: that of DIR)")
+    parser.add_argument("--method", help="a method's name (default: that of DIR)")
+    _add_budget(parser)
+    _add_seed(parser)
+    change = "a setting that the run changed (repeatable; default: none)"
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="settings", help=change)
+    parser.add_argument("--json", action="store_true", help="print an object instead of a page (default: a page)")
+
+
+def _diagnose(args: argparse.Namespace) -> int:
+    from qdil.evidence import diagnosis
+    from qdil.runs.folder import folder_of
+
+    by_name = args.env is not None and args.method is not None
+    if (args.folder is None) != by_name:
+        raise ConfigError("diagnose needs either the run's folder, or both --env and --method.")
+    folder = args.folder
+    if folder is None:
+        changes = parse_settings(args.settings)
+        folder = folder_of(name_of(args.method, args.env, args.budget, **changes), args.env, args.budget, args.seed)
+    found = diagnosis.diagnose(folder)
+    print(diagnosis.as_json(found) if args.json else diagnosis.report(found))
+    return 0
+
+
 # verify
 
 
@@ -322,6 +356,7 @@ COMMANDS = {
     "demos": ("record demonstrations of a trained expert", _add_demos, _demos),
     "figures": ("draw the finished runs of a robot", _add_figures, _figures),
     "claims": ("judge the paper's claims from finished runs", _add_claims, _claims),
+    "diagnose": ("ask whether an imitation works", _add_diagnose, _diagnose),
     "verify": ("check a finished run", _add_verify, _verify),
     "bench": ("measure speed on this machine", _add_bench, _bench),
     "study": ("train the runs that a figure or table needs", _add_study, _study),

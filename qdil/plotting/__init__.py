@@ -9,6 +9,7 @@ from qdil.plotting.archives import archives_side_by_side, behaviour_space, both_
 from qdil.plotting.bars import bars, grid
 from qdil.plotting.colours import method_colour, styles
 from qdil.plotting.curves import learning_curves
+from qdil.plotting.findings import findings
 from qdil.plotting.live import LiveArchive, live_figure
 from qdil.plotting.measures import label_measures, measure_labels
 from qdil.plotting.style import METRICS, X_LABELS, label, save, to_png
@@ -21,6 +22,7 @@ __all__ = [
     "bars",
     "behaviour_space",
     "both_readings",
+    "findings",
     "grid",
     "heatmap",
     "label",

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from qdil import plotting
 from qdil.config import make_config
 from qdil.devices.start import use_all_cores
-from qdil.evidence import claims
+from qdil.evidence import claims, diagnosis
 from qdil.extras import needs
 from qdil.robots.register import PAPER_ROBOTS, robot_names
 from qdil.runs import experiments, manifest, studies
@@ -109,6 +109,13 @@ class Page(NamedTuple):
                 plotting.save(figure, path)
         else:
             display(Markdown(figure if isinstance(figure, str) and figure else "No run is finished yet."))
+
+    def diagnoses(self, runs: Runs, name: str | None = None) -> None:
+        """Display the numbers of ``qdil diagnose`` for some runs as a table and as a figure, which has a ``name``."""
+        found = diagnosis.of_runs(runs)
+        with pd.option_context("display.max_colwidth", None):
+            display(diagnosis.table(found))
+        self.show(plotting.findings(diagnosis.tidy(found)) if found else None, name)
 
     def verdicts(self, *claim_ids: str) -> None:
         """Display the verdicts on some claims, for the page's robot and from the runs of the page's budget."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from qdil.config import BUDGETS, make_config
-from qdil.evidence import claims, protocol_page, report, tables
+from qdil.evidence import claims, diagnosis, protocol_page, report, tables
 from qdil.evidence.markdown import markdown_table
 from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, PAPER, REPRODUCED, Verdict, together
 from qdil.names import title
@@ -144,6 +144,7 @@ PARTS: dict[tuple[str, str], Callable[[], str]] = {  # by page and name
     ("docs/protocol.md", "runs"): protocol_page.runs,
     ("docs/protocol.md", "budgets"): protocol_page.budgets,
     ("docs/protocol.md", "chance"): protocol_page.chance,
+    ("docs/diagnose.md", "checks"): diagnosis.guide,
     ("docs/laptop-budget.md", "walker2d's runs"): lambda: runs("walker2d"),
     ("docs/laptop-budget.md", "halfcheetah's runs"): lambda: runs("halfcheetah"),
     ("docs/performance.md", "speeds"): speeds,
