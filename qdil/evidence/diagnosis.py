@@ -156,6 +156,9 @@ CHECKS = (
 )  # fmt: skip
 
 
+BY_NAME = {check.name: check for check in CHECKS}
+
+
 class Finding(NamedTuple):
     """A check's answer for one run."""
 

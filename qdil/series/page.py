@@ -113,9 +113,13 @@ class Page(NamedTuple):
     def diagnoses(self, runs: Runs, name: str | None = None) -> None:
         """Display the numbers of ``qdil diagnose`` for some runs as a table and as a figure, which has a ``name``."""
         found = diagnosis.of_runs(runs)
+        numbers = diagnosis.tidy(found)
+        if numbers.empty:
+            self.show(None)
+            return
         with pd.option_context("display.max_colwidth", None):
             display(diagnosis.table(found))
-        self.show(plotting.findings(diagnosis.tidy(found)) if found else None, name)
+        self.show(plotting.findings(numbers), name)
 
     def verdicts(self, *claim_ids: str) -> None:
         """Display the verdicts on some claims, for the page's robot and from the runs of the page's budget."""

@@ -109,3 +109,16 @@ def test_verdicts_are_of_the_claims_asked_for_and_of_the_papers_robots_alone(ope
     assert set(displayed[-1]["id"]) == {"C1", "C3"} and set(displayed[-1]["robot"]) == {"walker2d"}
     opened("laptop", "hopper")[0].verdicts("C1")
     assert "no verdict on hopper" in displayed[-1].data
+
+
+def test_diagnoses_are_a_table_and_a_figure_or_a_sentence(opened, monkeypatch):
+    displayed = []
+    monkeypatch.setattr(page, "display", displayed.append)
+    opened_page, root = opened("laptop")
+    opened_page.diagnoses({})
+    assert displayed[-1].data == "No run is finished yet."
+    run = write_run(root / "results", "walker2d", "gail", 1)
+    (run / "config.json").write_text('{"method": "gail"}')
+    opened_page.diagnoses({"gail": [run]})
+    table, figure = displayed[-2:]
+    assert list(table.columns) == ["healthy", "gail"] and isinstance(figure, Figure)
