@@ -176,8 +176,10 @@ def learn(
     train_state, batch = _prepare(train_state, transitions, sample, rewards, weighting, stats, ppo)
     train_state, kl = _train_epochs(train_state, batch, key, weighting.tied, epochs, ppo)
     shares = jnp.mean(to_copies(q_share, copies, axis=1), axis=(1, 2))
-    per_step = jax.lax.pmean((jnp.mean(fitness), jnp.mean(learned), jnp.mean(steps.reward), shares), AXIS)
-    info = Info(jnp.mean(kl), *per_step, jnp.mean(jnp.exp(train_state.policy["log_std"])))
+    means = (jnp.mean(fitness), jnp.mean(learned), jnp.mean(steps.reward), shares)
+    fitness_mean, learned_mean, true_mean, shares = jax.lax.pmean(means, AXIS)
+    std = jnp.mean(jnp.exp(train_state.policy["log_std"]))
+    info = Info(jnp.mean(kl), fitness_mean, learned_mean, true_mean, shares, std)
     return train_state, update_obs_stats(stats, steps.obs), info
 
 
