@@ -136,8 +136,7 @@ def test_calibration_is_the_mean_reward_of_each_kind_of_steps():
         reward = (obs - 0.5).sum(-1) / 2 + 2 * action.sum(-1) - (next_obs[..., 0] - 0.5) / 2 + 3 * proxy[..., 1]
         return reward.mean()
 
-    every_eighth = jax.tree.map(lambda x: np.asarray(x)[[0, 8, 16]], steps)
-    kinds = {"expert_reward": shown, "heldout_reward": heldout, "policy_reward": every_eighth}
+    kinds = {"expert_reward": shown, "heldout_reward": heldout, "policy_reward": steps}
     assert {name: float(value) for name, value in found.items()} == pytest.approx(
         {name: expected(some) for name, some in kinds.items()}, rel=1e-4
     )
@@ -149,7 +148,22 @@ def test_a_demonstrated_row_counts_as_an_episode_of_one_step():
     model, shown, steps = model_of(lambda x, ended: ended.astype(jnp.float32)), rows(rng, 7), steps_of(rng)
     found = fitness.calibration(model, model.init(jax.random.key(0), shown), CONTEXT, shown, shown, steps)
     assert float(found["expert_reward"]) == float(found["heldout_reward"]) == 1.0
-    assert float(found["policy_reward"]) == pytest.approx(float(np.mean(steps.ended[::8])))
+    assert float(found["policy_reward"]) == pytest.approx(float(np.mean(steps.ended)))
+
+
+def test_many_steps_are_measured_by_some_from_beginning_to_end():
+    """A reward that is the row's number, or the time: half-way on average."""
+    rng = np.random.default_rng(3)
+    model, shown, steps = model_of(lambda x, ended: x.proxy[..., 0]), rows(rng, 3000), steps_of(rng, time=100, envs=16)
+    shown = shown._replace(proxy=jnp.tile(jnp.arange(3000.0)[:, None], (1, 2)))
+    time = jnp.broadcast_to(jnp.arange(100.0)[:, None, None], (100, 16, 2))
+    seen = []
+    model = model._replace(reward=lambda *args, of=model.reward: seen.append(args[-1].reward.size) or of(*args))
+    state = model.init(jax.random.key(0), shown)
+    found = fitness.calibration(model, state, CONTEXT, shown, None, steps._replace(proxy=time))
+    assert float(found["expert_reward"]) == pytest.approx(1500, abs=15)
+    assert float(found["policy_reward"]) == pytest.approx(50, abs=3)
+    assert max(seen) < 1.2 * fitness.MEASURED
 
 
 def test_nothing_learns_from_held_out_rows():

@@ -5,7 +5,7 @@ model alone (Algorithm 1, line 11): ``score_chunk``. The fitness reward is not t
 environment's own and which no imitating model reads.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,8 @@ from qdil.rl.evaluate import RewardSum, sum_counted
 from qdil.rl.rollout import where_each
 from qdil.types import RewardContext, RewardMemory, Rewards, RewardState, Transitions
 
-MEASURED = 8  # one in this many of a rollout's time steps is enough to measure a mean reward
+Rows = TypeVar("Rows")
+MEASURED = 256  # about so many steps of each kind are enough to measure a mean reward, and cost next to nothing
 
 
 class BonusRule(NamedTuple):
@@ -146,17 +147,23 @@ def calibration(
 
     A reward that generalises is nearly as high for the held-out steps as for those that it learned from; one that has
     learned the demonstrations by heart is not. Each row counts as an episode of one step. Both kinds of rows are
-    normalised as the policy's are, because the question is what a policy would earn by such steps. Without held-out
-    rows their measurement is left out.
+    normalised as the policy's are, because the question is what a policy would earn by such steps. Of many steps, about
+    ``MEASURED`` in equal distances are taken. Without held-out rows their measurement is left out.
     """
     rows = {"expert_reward": demos} | ({} if heldout is None else {"heldout_reward": heldout})
-    steps = {name: as_steps(these) for name, these in rows.items()}
-    steps["policy_reward"] = jax.tree.map(lambda x: x[::MEASURED], transitions)
+    steps = {name: as_steps(_every(len(these.obs) // MEASURED, these)) for name, these in rows.items()}
+    length, robots = transitions.reward.shape
+    steps["policy_reward"] = _every(min(length * robots // MEASURED, length), transitions)
 
     def mean_reward(some: Transitions) -> jax.Array:
         return jnp.mean(model.reward(reward, model.begin(reward, some.obs.shape[1]), context, some)[1])
 
     return {name: mean_reward(some) for name, some in steps.items()}
+
+
+def _every(stride: int, rows: Rows) -> Rows:
+    """Every ``stride``-th row of a tree of arrays; all rows for a stride of 0."""
+    return jax.tree.map(lambda x: x[:: max(stride, 1)], rows)
 
 
 def as_steps(demos: Demonstrations) -> Transitions:
