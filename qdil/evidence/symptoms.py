@@ -100,12 +100,12 @@ def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
 def accuracy(of: str) -> Callable[[RunFiles], float]:
     """The share of late expert or policy rows (``of``) that the discriminator puts on their own side."""
 
-    def read(run: RunFiles) -> float:
+    def reading(run: RunFiles) -> float:
         if len(run.metrics) and f"{of}_accuracy" not in run.metrics:
             raise DoesNotApply("it has no discriminator")
         return float(run.late(f"{of}_accuracy").to_numpy().mean())
 
-    return read
+    return reading
 
 
 def heldout_reward(run: RunFiles) -> float:
@@ -121,13 +121,13 @@ def heldout_reward(run: RunFiles) -> float:
 def order(fitness: str, true_return: str) -> Callable[[RunFiles], float]:
     """The rank correlation of two fields over the elites, learned fitness and true return."""
 
-    def read(run: RunFiles) -> float:
+    def reading(run: RunFiles) -> float:
         learned, true = run.elites(fitness, true_return)
         if np.array_equal(learned, true):
             raise DoesNotApply("its archive compares true returns")
         return _known(rank_correlation(learned, true), "all elites have the same fitness")
 
-    return read
+    return reading
 
 
 def survival_share(run: RunFiles) -> float:
@@ -173,12 +173,12 @@ def stale_order(run: RunFiles) -> float:
 def landing(share: str) -> Callable[[RunFiles], float]:
     """The share of elites that land in their own cell ("relanded"), or in it or a neighbour ("relanded_near")."""
 
-    def read(run: RunFiles) -> float:
+    def reading(run: RunFiles) -> float:
         if not {"index", "cells", "true_return", "rescored_return", "rescored_measures"} <= set(run.archive):
             raise NotRecorded
         return _known(corrected_metrics(run.archive)[share], "its archive is empty")
 
-    return read
+    return reading
 
 
 def episode_share(run: RunFiles) -> float:
@@ -240,15 +240,17 @@ def idle_share(run: RunFiles) -> float:
 def q_share(phase: str) -> Callable[[RunFiles], float]:
     """The share of steps that get q of the bonus in the late "walk" or "gradient" phases."""
 
-    def read(run: RunFiles) -> float:
+    def reading(run: RunFiles) -> float:
         if not run.method.bonus or run.setting("bonus_q") == 0:
             raise DoesNotApply("it has no q")
+        if run.settings.get("bonus_scope") == "step":
+            raise DoesNotApply("its bonus counts visits and reads no cell")
         share, coverage = run.late(f"{phase}_q_share", "coverage").mean()
         if coverage >= FULL:
             raise DoesNotApply("hardly a cell is empty")
         return float(share)
 
-    return read
+    return reading
 
 
 def discarded_share(run: RunFiles) -> float:

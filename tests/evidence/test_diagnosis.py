@@ -231,6 +231,7 @@ def test_questions_about_imitation_do_not_apply_to_the_true_reward(tmp_path):
         ({"metrics": {"restarts": 0, "age": np.arange(ROWS)}}, "restart_jump"),
         ({"metrics": {"coverage": 0.99}}, "walk_q_share"),
         ({"settings": {"bonus_q": 0.0}}, "gradient_q_share"),
+        ({"settings": {"bonus_scope": "step"}}, "walk_q_share"),
     ],
 )
 def test_a_number_that_would_mean_nothing_is_not_given(tmp_path, changes, name):
