@@ -50,7 +50,7 @@ class Check(NamedTuple):
 
 STALE = (
     "Elites keep scores of an earlier reward model, so challengers cannot win. Let the reward model see an elite "
-    "before it is scored (restart_rounds), or score elites again."
+    "before it is scored (restart_rounds), or learn from all recent policies (replay_share)."
 )
 TOO_STRONG = "D is too strong. Weaken it: fewer reward_steps, a larger gradient_penalty, or VAIL."
 GUESSES = "D guesses. The imitation is perfect, or D has learned nothing: the order of returns tells which."
