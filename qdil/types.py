@@ -33,7 +33,9 @@ class Rewards(NamedTuple):
 
     fitness: jax.Array  # (T, E) what VPPO maximises: the reward model's reward with the measure bonus (eq. 4)
     learned: jax.Array  # (T, E) the reward model's reward alone
-    q_share: jax.Array  # (T, E) the factor of q: 1 where eq. 2 adds q, otherwise 0; 1 / (1 + ρ) in the single-step bonus
+    q_share: (
+        jax.Array
+    )  # (T, E) the factor of q: 1 where eq. 2 adds q, otherwise 0; 1 / (1 + ρ) in the single-step bonus
 
 
 class ActionSample(NamedTuple):

@@ -202,7 +202,8 @@ def paid(rule, rollout, p, q):
     memory, found = begin_training(model, rule, (), ENVS, 2), []
     for _ in range(2):
         memory, rewards = compute_reward(model, rule, (), memory, context, jnp.array([p, q]), rollout)
-        found.append(np.asarray(rewards) - 10)
+        np.testing.assert_array_equal(rewards.learned, 10.0)
+        found.append(np.asarray(rewards.fitness) - 10)
     return found, memory.visits
 
 
