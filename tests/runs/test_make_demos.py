@@ -15,7 +15,7 @@ from qdil.imitation import demos
 from qdil.imitation.demo_report import smallest_distance
 from qdil.methods import parse_method
 from qdil.rl import networks
-from qdil.runs import folder, missing
+from qdil.runs import folder, missing, summary
 from qdil.runs.demos import make_demos
 from qdil.runs.folder import demos_of
 
@@ -105,6 +105,7 @@ def trained(monkeypatch):
 
     def train(config, where, file, report):
         runs.append((where, file))
+        write_json(where / "summary.json", dict.fromkeys(summary.NAMES, 1.0))
         write_json(where / "manifest.json", {})
 
     def make(env, budget, episodes, seed, expert, out, attempts):
