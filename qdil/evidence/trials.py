@@ -5,6 +5,7 @@ settings were chosen keep such tables, so that a choice can be checked without i
 """
 
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pandas as pd
 
 from qdil.config.text import BEFORE, with_current_names
 from qdil.evidence import corrected
+from qdil.evidence.markdown import markdown_table
 from qdil.files import read_json
 from qdil.runs.folder import is_finished, read_archive
 
@@ -46,6 +48,34 @@ def _reached(folder: Path) -> dict[str, Any]:
         "million_steps": last["env_steps"] / 1e6,
         "seconds": last["wall_seconds"],
     }
+
+
+SHOWN = {  # columns of a note's table: title and format of the numbers
+    "million_steps": ("million steps", ".1f"),
+    "qd_score": ("QD-score", ",.0f"),
+    "corrected_qd_score": ("corrected QD-score", ",.0f"),
+    "corrected_coverage": ("corrected coverage", ".0%"),
+    "corrected_average": ("corrected average", ",.0f"),
+    "relanded": ("own cell", ".0%"),
+    "relanded_near": ("near", ".0%"),
+    "return_per_step": ("return per step", ".2f"),
+    "stored_over_fresh": ("stored / fresh fitness", ".2f"),
+    "restarts": ("restarts", ".0f"),
+}
+
+
+def shown(path: Path, settings: Mapping[str, str], columns: Sequence[str]) -> str:
+    """A kept table as Markdown: ``settings`` under their titles, then ``columns`` of ``SHOWN``."""
+    kept = pd.read_csv(path)
+    table = pd.DataFrame({title: kept[name].map(_text) for name, title in settings.items()})
+    for name in columns:
+        title, style = SHOWN[name]
+        table[title] = ["" if pd.isna(value) else format(value, style) for value in kept[name]]
+    return markdown_table(table, right=[SHOWN[name][0] for name in columns])
+
+
+def _text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def main(arguments: list[str]) -> None:

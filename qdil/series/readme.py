@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from qdil.config import BUDGETS, make_config
-from qdil.evidence import claims, diagnosis, protocol_page, report, tables
+from qdil.evidence import claims, diagnosis, protocol_page, report, tables, trials
 from qdil.evidence.markdown import markdown_table
 from qdil.evidence.verdicts import INCONCLUSIVE, NO_RUNS, NOT_REPRODUCED, PAPER, REPRODUCED, Verdict, together
 from qdil.names import title
@@ -29,6 +29,7 @@ MAIN_CLAIM = {
     INCONCLUSIVE: "the runs do not decide whether MConbo-GAIL beats GAIL on QD-score, the paper's main claim",
     NO_RUNS: "there are no runs yet on the paper's main claim, that MConbo-GAIL beats GAIL on QD-score",
 }
+PILOTS = index.ROOT / "results" / "pilots"  # tables of trials on seeds that no claim is judged from
 USES = {
     "smoke": "every line runs, nothing is learned",
     "laptop": "real learning curves without a GPU",
@@ -134,6 +135,29 @@ def _speed(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}"
 
 
+def budget_trials() -> str:
+    """The runs by which the budgets were chosen."""
+    settings = {
+        "env": "robot",
+        "iterations": "iterations",
+        "warmup_updates": "warm-up",
+        "candidates": "candidates",
+        "episodes": "episodes",
+        "cells": "cells",
+        "fitness_coefficient": "c₀",
+        "rejects": "Δ of rejects",
+    }
+    columns = [name for name in trials.SHOWN if name not in ("stored_over_fresh", "corrected_average")]
+    return trials.shown(PILOTS / "budgets.csv", settings, columns)
+
+
+def improved_trials() -> str:
+    """The runs by which ``improved`` was chosen."""
+    settings = {"method": "method", "seed": "seed", "replay_share": "replay_share"}
+    columns = [name for name in trials.SHOWN if name not in ("million_steps", "corrected_average")]
+    return trials.shown(PILOTS / "improved.csv", settings, columns)
+
+
 PARTS: dict[tuple[str, str], Callable[[], str]] = {  # by page and name
     ("README.md", "results"): lambda: f"{results()}\n\n{verdicts()}",
     ("README.md", "budgets"): budgets,
@@ -147,6 +171,8 @@ PARTS: dict[tuple[str, str], Callable[[], str]] = {  # by page and name
     ("docs/diagnose.md", "checks"): diagnosis.guide,
     ("docs/laptop-budget.md", "walker2d's runs"): lambda: runs("walker2d"),
     ("docs/laptop-budget.md", "halfcheetah's runs"): lambda: runs("halfcheetah"),
+    ("docs/notes/budgets.md", "trials"): budget_trials,
+    ("docs/notes/improved.md", "improved"): improved_trials,
     ("docs/performance.md", "speeds"): speeds,
     ("docs/notes/performance-log.md", "all speeds"): all_speeds,
 }

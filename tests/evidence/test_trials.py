@@ -37,3 +37,13 @@ def test_it_prints_finished_runs_as_csv(folders, tmp_path, capsys):
     trials.main([str(tmp_path)])
     read = pd.read_csv(io.StringIO(capsys.readouterr().out))
     assert read["seed"].tolist() == [1] and read["qd_score"].tolist() == [100.0]
+
+
+def test_a_note_shows_chosen_columns(folders, tmp_path):
+    path = tmp_path / "trials.csv"
+    trials.table(folders).to_csv(path, index=False, float_format="%.4g")
+    table = trials.shown(path, {"bonus_q": "q"}, ["corrected_qd_score", "relanded"])
+    assert [line.split("|")[1:4] for line in table.replace(" ", "").splitlines()[2:]] == [
+        ["0.5", "100", "100%"],
+        ["2", "200", "100%"],
+    ]
