@@ -472,7 +472,7 @@ def cells_and_envs(env, budget, method="true"):
     ("budget", "env", "cells", "envs"),
     [
         ("smoke", "walker2d", 5, 24), ("smoke", "humanoid", 5, 24), ("smoke", "halfcheetah", 5, 24),
-        ("laptop", "walker2d", 20, 192), ("laptop", "humanoid", 20, 192), ("laptop", "halfcheetah", 20, 96),
+        ("laptop", "walker2d", 20, 192), ("laptop", "humanoid", 20, 192), ("laptop", "halfcheetah", 15, 96),
         ("full", "walker2d", 50, 3000), ("full", "humanoid", 50, 3000), ("full", "halfcheetah", 50, 3000),
     ],
 )  # fmt: skip

@@ -10,12 +10,12 @@ from qdil.methods import parse_method
 from qdil.robots.register import backends_of, count_measures
 
 LAPTOP: dict[str, Any] = {
-    "iterations": 200,
+    "iterations": 240,
     "warmup_updates": 300,
     "gradient_updates": 3,
     "walk_updates": 3,
     "candidates": 96,
-    "episodes": 2,
+    "episodes": 4,
     "cells": 20,
     "sigma0": 2.0,
     "archive_learning_rate": 1.0,
@@ -83,15 +83,21 @@ BUDGETS: dict[str, dict[str, Any]] = {"smoke": SMOKE, "laptop": LAPTOP, "desk": 
 # Further changes for some robots, by budget and robot.
 PER_ROBOT: dict[tuple[str, str], dict[str, Any]] = {
     # A step of the cheetah is 0.05 s (walker2d: 0.008 s): it needs fewer steps and a nearer horizon. It cannot fall.
+    # Its measures differ much from episode to episode, so its candidates play more episodes for fewer cells.
     ("laptop", "halfcheetah"): {
         "gamma": 0.99,
         "episode_length": 200,
         "eval_chunk_steps": 200,
         "num_envs": 96,
-        "iterations": 160,
-        "warmup_updates": 100,
+        "iterations": 140,
+        "warmup_updates": 400,
+        "candidates": 64,
+        "episodes": 6,
+        "cells": 15,
         "threshold_min": -100.0,
     },  # fmt: skip
+    # With a nearer horizon, or less warm-up, the humanoid dives or stands.
+    ("laptop", "humanoid"): {"gamma": 0.995, "warmup_updates": 800, "iterations": 130, "episodes": 3},
     ("desk", "halfcheetah"): {
         "gamma": 0.99,
         "num_envs": 96,
