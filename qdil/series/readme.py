@@ -141,6 +141,7 @@ def budget_trials() -> str:
         "env": "robot",
         "iterations": "iterations",
         "warmup_updates": "warm-up",
+        "gamma": "γ",
         "candidates": "candidates",
         "episodes": "episodes",
         "cells": "cells",
