@@ -20,6 +20,7 @@ from qdil.qd.archive import Archives, Candidates
 from qdil.qd.xnes import XNES, draw_center
 from qdil.rl import networks
 from qdil.rl.evaluate import Policies, Scores
+from qdil.types import Transitions
 
 # Fields of ``Candidates`` that ``reevaluate`` averages, and their names in ``archive.npz``.
 RESCORED = {"fitness": "rescored_fitness", "true_return": "rescored_return", "measures": "rescored_measures",
@@ -43,7 +44,7 @@ class Info(NamedTuple):
 
     restarts: float  # 1.0 if it ended in a restart
     steps: float  # environment steps
-    coefficients: np.ndarray  # (1+k,) c_μ of the walk
+    coefficients: np.ndarray  # (1+k,) the mean of xNES before the walk; all 0 if it has learned nothing
     added: float  # candidates that improved the soft archive
     not_finite: float  # candidates left out because their physics diverged
     walk_reward: float  # fitness reward per step of the walk
@@ -64,7 +65,7 @@ class Info(NamedTuple):
 
 
 def begin(config: Config, demos: Demonstrations | None, heldout: Demonstrations | None = None) -> Search:
-    """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at μ = 0, Σ = σ_g² I, empty archives.
+    """Algorithm 1, lines 1-2: θ_μ = θ_0, xNES at its center (μ = 0 in the paper), Σ = σ_g² I, empty archives.
 
     ``heldout``: steps of the demonstrators that nothing learns from, for measurements (``fitness.calibration``).
     """
@@ -107,13 +108,15 @@ def iteration(search: Search) -> tuple[Search, Info]:
     xnes.tell(np.argsort(-improvement, kind="stable"), improvement)
     search = search._replace(archives=archives, xnes=xnes)
     restarts = not accepted.any() or xnes.check_stop(improvement)
+    phases = [copies]
     if restarts and ppga.restart_order == "before-walk":
-        search = restart(search)
+        search, rounds = restart(search)
+        phases += rounds
 
     # Walk (lines 16-17): θ_μ moves on the reward weighted by the xNES mean c_μ; cells just filled give no bonus.
-    c_mu = walk_weights(search)
-    walked = engine.train_policy(search.state, filled(search), c_mu, ppga.walk_updates, search.demos)
-    search, phases = search._replace(state=walked.state), [copies, walked]
+    mean = np.array(search.xnes.mean, np.float32)
+    walked = engine.train_policy(search.state, filled(search), walk_weights(search), ppga.walk_updates, search.demos)
+    search, phases = search._replace(state=walked.state), [*phases, walked]
 
     # Reward model (line 18): a fresh rollout of the walked policy, from which the reward model alone learns.
     reward_info = walked.reward_info
@@ -123,9 +126,10 @@ def iteration(search: Search) -> tuple[Search, Info]:
 
     # Restart (lines 19-22): nothing was added, so start again from a random elite.
     if restarts and ppga.restart_order == "last":
-        search = restart(search)
+        search, rounds = restart(search)
+        phases += rounds
 
-    return search, _info(search, candidates, accepted, c_mu, restarts, phases, walked, reward_info)
+    return search, _info(search, candidates, accepted, mean, restarts, phases, copies, walked, reward_info)
 
 
 def filled(search: Search) -> jax.Array:
@@ -142,26 +146,29 @@ def update_reward(search: Search) -> tuple[Search, Trained, dict[str, jax.Array]
     return search._replace(state=state), fresh, info
 
 
-def restart(search: Search) -> Search:
+def restart(search: Search) -> tuple[Search, list[Trained]]:
     """Lines 19-22: xNES starts again and θ_μ becomes a random elite, unless the archive is empty.
 
     The elite keeps its own observation statistics; ``restart_statistics=other`` gives it those of another random elite.
-    The reward model then learns from ``restart_rounds`` rollouts of it, before any of its candidates are scored.
+    The reward model then learns from ``restart_rounds`` rollouts of it, before any of its candidates are scored; these
+    rollouts are returned, too.
     """
     ppga, engine = search.config.ppga, search.engine
     xnes, rng = copy.deepcopy((search.xnes, search.rng))
     xnes.reset(draw_center(ppga.xnes_center, engine.objectives, rng), ppga.restart_samples == "same")
     search, elite = search._replace(xnes=xnes, rng=rng), archive.random_elite(search.archives, rng)
     if elite is None:
-        return search
+        return search, []
     if ppga.restart_statistics == "other":
         other = archive.random_elite(search.archives, rng)
         assert other is not None
         elite |= {name: other[name] for name in ("obs_mean", "obs_std")}
     search = search._replace(state=engine.restart_at(search.state, elite))
+    rounds = []
     for _ in range(ppga.restart_rounds if engine.model.learns else 0):
-        search, _, _ = update_reward(search)
-    return search
+        search, fresh, _ = update_reward(search)
+        rounds.append(fresh)
+    return search, rounds
 
 
 def walk_weights(search: Search) -> np.ndarray:
@@ -176,15 +183,18 @@ def walk_weights(search: Search) -> np.ndarray:
 
 
 def warm_up(search: Search, updates: int) -> tuple[Search, int, dict[str, float]]:
-    """A round of plain PPO on the method's own reward, without bonus, before the first iteration (ours).
+    """A round of plain PPO on the method's own reward, without measure bonus, before the first iteration (ours).
 
-    A round does at most N2 of the remaining ``updates``, and a learned reward model is updated after it. Returns the
-    number of updates done and two numbers for the run's metrics: environment ``steps`` and phases ``rolled_back``.
+    A round does at most N2 of the remaining ``updates``, and a learned reward model is updated after it. A store holds
+    the round's rollout, since nothing is evaluated yet. Returns the number of updates done and two numbers for the
+    run's metrics: environment ``steps`` and phases ``rolled_back``.
     """
     config, engine, demos = search.config, search.engine, search.demos
     occupied, done = filled(search), min(config.ppga.walk_updates, updates)
     trained = engine.train_policy(search.state, occupied, np.eye(engine.objectives)[0], done, demos, bonus=False)
     state, rolled_back = trained.state, float(trained.rolled_back)
+    if isinstance(state.store, Transitions):
+        state = state._replace(store=trained.transitions)
     if engine.learns_each_iteration:
         assert demos is not None, "a reward model that learns needs demonstrations"
         state, reward_info = engine.update_reward(state, occupied, demos, trained.transitions)
@@ -203,8 +213,8 @@ def warmed_up(search: Search, updates: int) -> Search:
 
 def evaluate_next(search: Search, policies: Policies) -> tuple[Search, Candidates]:
     """``evaluate`` the candidates of an iteration with the search's own key, which moves on."""
-    key, episode_key = jax.random.split(search.state.key)
-    state, scores = search.engine.score_and_keep(search.state, filled(search), policies, episode_key)
+    key, episode_key, keep_key = jax.random.split(search.state.key, 3)
+    state, scores = search.engine.score_and_keep(search.state, filled(search), policies, episode_key, keep_key)
     return search._replace(state=state._replace(key=key)), _candidates(search, policies, scores)
 
 
@@ -268,27 +278,25 @@ def _info(
     search: Search,
     candidates: Candidates,
     accepted: np.ndarray,
-    c_mu: np.ndarray,
+    mean: np.ndarray,
     restarts: bool,
     phases: list[Trained],
+    copies: Trained,
     walked: Trained,
     reward_info: dict[str, jax.Array],
 ) -> Info:
     config = search.config
-    extra = int(search.engine.learns_each_iteration)
-    extra += config.ppga.restart_rounds if restarts and search.engine.model.learns else 0
-    updates = config.ppga.gradient_updates + config.ppga.walk_updates + extra
-    rollouts = updates * config.ppo.rollout_length * config.ppo.num_envs
+    rollouts = sum(phase.rollouts for phase in phases) * config.ppo.rollout_length * config.ppo.num_envs
     return Info(
         restarts=float(restarts),
         steps=float(rollouts + candidates.length.sum() * config.evaluation.episodes),
-        coefficients=c_mu,
+        coefficients=mean,
         added=float(accepted.sum()),
         not_finite=float((~archive.usable(candidates)).sum()),
         walk_reward=float(walked.info.fitness_reward),
         walk_learned=float(walked.info.learned_reward),
         walk_q_share=float(to_host(walked.info.q_share).mean()),
-        gradient_q_share=float(to_host(phases[0].info.q_share)[0]),
+        gradient_q_share=float(to_host(copies.info.q_share)[0]),
         true_reward=float(walked.info.true_reward),
         rolled_back=float(sum(phase.rolled_back for phase in phases)),
         approx_kl=float(walked.info.approx_kl),

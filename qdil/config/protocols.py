@@ -40,8 +40,8 @@ RELEASED: dict[str, Any] = {
     "diffail_reward": "element",
 }
 
-# Imitation that never reads the true reward (ours). The reward model learns from the steps of all recent candidates
-# beside those of the present policy, so that a fitness of today can be compared with one of ten iterations ago.
+# Imitation that never reads the true reward (ours). The reward model learns from the steps of recent candidates beside
+# those of the present policy, so that its reward changes more slowly (docs/notes/improved.md).
 IMPROVED: dict[str, Any] = {"replay_share": 0.05}
 
 # The settings in which each protocol differs from the paper's.

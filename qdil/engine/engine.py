@@ -47,6 +47,7 @@ class Trained(NamedTuple):
     info: vppo.Info  # of the last update
     reward_info: dict[str, jax.Array]  # of the reward model's last learning; empty where it did not learn
     rolled_back: jax.Array  # () 1.0 if the phase was discarded because a number was not finite
+    rollouts: int  # how many it collected, of ``rollout_length`` steps of every robot
 
 
 class Engine:
@@ -196,7 +197,7 @@ class Engine:
         else:
             envs, theta = search.discard_update(before.envs, before.train_state.policy)
             state = before._replace(key=key, envs=envs)
-        return Trained(state, theta, transitions, info, reward_info, 1.0 - healthy)
+        return Trained(state, theta, transitions, info, reward_info, 1.0 - healthy, updates)
 
     # Candidates
 
@@ -207,12 +208,12 @@ class Engine:
 
     def score(self, state: State, occupied: jax.Array, policies: Policies, key: jax.Array) -> Scores:
         """Score λ policies over n whole episodes each, with the present reward model (Algorithm 1, lines 9-11)."""
-        return self.score_and_keep(state, occupied, policies, key)[1]
+        return self.score_and_keep(state, occupied, policies, key, None)[1]
 
     def score_and_keep(
-        self, state: State, occupied: jax.Array, policies: Policies, key: jax.Array
+        self, state: State, occupied: jax.Array, policies: Policies, key: jax.Array, keep_key: jax.Array | None
     ) -> tuple[State, Scores]:
-        """``score``; and the store, if there is one, keeps some of the steps."""
+        """``score``; the store, if there is one, keeps steps that are drawn by ``keep_key``, or none without a key."""
         search, reward = self.search, self.reward
         count = (self.config.ppga.candidates, self.config.evaluation.episodes)
         context = RewardContext(state.stats.normaliser, laid_out(occupied, replicated(search.mesh)))
@@ -221,8 +222,9 @@ class Engine:
         while to_host(tally.unfinished).any():
             before = tally.length
             envs, tally, transitions, counted = search.advance_episodes(policies, envs, tally)
-            if isinstance(state.store, Transitions):
-                state = state._replace(store=reward.keep_steps(key, state.store, before, transitions, counted))
+            if keep_key is not None and isinstance(state.store, Transitions):
+                store = reward.keep_steps(keep_key, state.store, before, transitions, counted)
+                state = state._replace(store=store)
             so_far = reward.score_chunk(state.reward, so_far, context, transitions, counted)
         return state, search.finish_episodes(tally, so_far.fitness)
 

@@ -136,7 +136,7 @@ CHECKS = (
         above="The search starts anew before it gets anywhere. Stale thresholds are the usual cause.",
     ),
     Check(
-        "idle_share", "search", "late walks that stand still",
+        "idle_share", "search", "late walks without coefficients",
         symptoms.idle_share, 0.0, 0.05, "share", "controls: 0 to 1 %",
         above="xNES has learned nothing when the walk begins. See rejects, restart_order and xnes_center.",
     ),

@@ -18,7 +18,9 @@ def c0_rise(metrics: pd.DataFrame) -> float:
     if the one before did not end in a restart: from a restarted xNES, whose c_0 is 0, |c_0| can only rise.
     Not-a-number if no iteration counts.
     """
-    restarted = metrics["restarts"].diff().fillna(metrics["restarts"]) > 0  # the row's c_0 is from before the restart
+    restarted = (
+        metrics["restarts"].diff().fillna(metrics["restarts"]) > 0
+    )  # a row's c_0 is from before its restart, or 0 or drawn anew
     began_afresh = restarted.shift(1, fill_value=False)
     counted = (metrics["coverage"].diff() > 0) & ~began_afresh
     return float(metrics["c0"].abs().diff()[counted].mean())

@@ -30,12 +30,12 @@ class Estimate(NamedTuple):
     def p_value(self, bar: float = 0.0) -> float:
         """The two-sided p-value of the hypothesis that the true value is ``bar``.
 
-        1 without a standard error. 0 if all seeds agree exactly, so that the error is 0.
+        1 without a standard error. If all seeds agree exactly, the error is 0: then 1 at the bar and 0 elsewhere.
         """
         if not np.isfinite(self.error):
             return 1.0
         if self.error == 0:
-            return 0.0
+            return 1.0 if self.value == bar else 0.0
         return float(2 * stdtr(self.freedom, -abs(self.value - bar) / self.error))
 
 

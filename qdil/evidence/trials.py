@@ -25,9 +25,9 @@ REACHED = (*corrected.METRICS, *corrected.CORRECTED, *corrected.SHARES)
 def table(folders: list[Path]) -> pd.DataFrame:
     """A row per run: robot, method, seed, the settings in which the runs differ, metrics in both readings, and cost.
 
-    ``return_per_step``: mean return on fresh episodes over mean length. ``stored_over_fresh``: how much too high the
-    fitness is by which elites won their cells, the sum of stored over the sum of rescored fitness; not-a-number where
-    fitness may be negative.
+    ``return_per_step``: mean return on fresh episodes over their mean length. ``stored_over_fresh``: how much too high
+    the fitness is by which elites won their cells, the sum of stored over the sum of rescored fitness; not-a-number
+    where fitness may be negative.
     """
     settings = pd.DataFrame([BEFORE | with_current_names(read_json(folder / "config.json")) for folder in folders])
     texts = settings.map(str)
@@ -38,11 +38,12 @@ def table(folders: list[Path]) -> pd.DataFrame:
 def _reached(folder: Path) -> dict[str, Any]:
     archive, last = read_archive(folder), pd.read_csv(folder / "metrics.csv").iloc[-1]
     numbers = corrected.of_run(folder)
+    lengths = archive.get("rescored_length", archive["length"])  # older runs keep only those that won the cells
     stored, fresh = (archive[name].astype(float) for name in ("fitness", "rescored_fitness"))
     positive = stored.min() >= 0 and fresh.sum() > 0
     return {name: numbers[name] for name in REACHED} | {
-        "return_per_step": float(np.sum(archive["rescored_return"]) / np.sum(archive["length"])),
-        "mean_length": float(archive["length"].mean()),
+        "return_per_step": float(np.sum(archive["rescored_return"]) / np.sum(lengths)),
+        "mean_length": float(np.mean(lengths)),
         "stored_over_fresh": float(stored.sum() / fresh.sum()) if positive else float("nan"),
         "restarts": int(last["restarts"]),
         "million_steps": last["env_steps"] / 1e6,

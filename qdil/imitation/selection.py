@@ -46,9 +46,11 @@ def select(returns: np.ndarray, measures: np.ndarray, cells: int, count: int) ->
     """Indices (count,) of the demonstrators: the best elite, then the farthest points among the top fifth.
 
     ``returns`` (N,) and ``measures`` (N, k) are those of ``fresh`` episodes; ``cells`` is the number of the archive's
-    cells, filled or not. Raises ValueError for fewer elites than ``count``.
+    cells, filled or not. Elites whose physics diverged in every fresh episode, so that these are not-a-number, are
+    left out. Raises ValueError for fewer elites than ``count``.
     """
-    pool = top_fifth(returns, cells)
+    sound = np.flatnonzero(np.isfinite(returns) & np.isfinite(measures).all(axis=1))
+    pool = sound[top_fifth(returns[sound], cells)]
     return pool[farthest_points(measures[pool], count)]
 
 

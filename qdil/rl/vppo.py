@@ -333,7 +333,7 @@ def _clipped_together(grads: Params, tied: jax.Array, max_norm: float) -> Params
     Tied copies are one policy, whose gradient is clipped by the optimiser.
     """
     copies = len(jax.tree.leaves(grads)[0])
-    norm = optax.global_norm(grads) / copies
+    norm = optax.tree.norm(grads) / copies
     scale = jnp.where(tied, 1.0, jnp.minimum(1.0, max_norm / norm) / copies)
     return jax.tree.map(lambda grad: scale * grad, grads)
 

@@ -44,5 +44,7 @@ def sentences(numbers: Mapping[str, float]) -> str:
         lines.append(
             f"{reading}: QD-score {qd_score:,.0f}, coverage {coverage:.1%}, best {best:,.0f}, average {average:,.0f}"
         )
+    if numbers["coverage"] == 0:
+        return "The archive is empty."
     lands = "of the elites land in their own cell, {:.0%} in it or beside it".format(numbers["relanded_near"])
     return f"{lines[0]}.\n{lines[1]}; {numbers['relanded']:.0%} {lands}."

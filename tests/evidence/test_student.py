@@ -80,7 +80,8 @@ def test_a_p_value_is_below_5_percent_where_the_interval_excludes_the_value(valu
 def test_runs_that_agree_exactly_leave_no_doubt():
     assert student.mean([2.0] * 3).interval() == (2.0, 2.0, 2.0)
     assert student.unpaired([2.0] * 3, [5.0] * 2).interval() == (-3.0, -3.0, -3.0)
-    assert student.mean([2.0] * 3).p_value(2.0) == 0.0
+    assert student.mean([2.0] * 3).p_value(2.0) == 1.0
+    assert student.mean([2.0] * 3).p_value(1.0) == 0.0
 
 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan], [1.0, np.inf, 2.0]])

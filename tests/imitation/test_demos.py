@@ -361,3 +361,10 @@ def test_what_is_not_as_wide_as_the_robot_is_refused(name, more):
     columns = {n: np.zeros((4, width + more * (n == name))) for n, width in widths.items()}
     sentence = refused_by(demos.check_fits, demos.Demonstrations(**columns), robot)
     assert f"{name} of width {widths[name] + more}" in sentence and f"walker2d has {widths[name]}" in sentence
+
+
+def test_an_elite_that_always_diverged_demonstrates_nothing():
+    returns, measures = np.array([4.0, np.nan, 3.0, 2.0]), np.array([[0.1, 0.1], [0.9, 0.9], [0.2, 0.2], [0.5, np.nan]])
+    assert demos.select(returns, measures, 100, 2).tolist() == [0, 2]
+    with pytest.raises(ValueError, match="only 2 elites"):
+        demos.select(returns, measures, 100, 3)

@@ -74,18 +74,29 @@ def test_the_reward_model_learns_from_rollout_and_store_in_equal_parts():
     assert after.state.store.obs.shape == first.shape == (20, 24, 2)
     assert (np.asarray(after.state.store.obs) != first).any()
 
-    seen = []
     model = search.engine.reward.model
-    watched = model._replace(update=lambda key, state, context, demos, steps: seen.append(steps) or (state, {}))
+    watched = model._replace(update=lambda key, state, context, demos, steps: (state, {"obs": steps.obs}))
     rollout = search.engine.rollout(search.state, ppga.filled(search)).transitions
     search.engine.reward.__dict__["model"] = watched
     search.engine.reward.__dict__.pop("update", None)
     try:
-        search.engine.update_reward(search.state, ppga.filled(search), search.demos, rollout)
+        _, info = search.engine.update_reward(search.state, ppga.filled(search), search.demos, rollout)
     finally:
         search.engine.reward.__dict__["model"] = model
         search.engine.reward.__dict__.pop("update", None)
-    assert seen[0].reward.shape == (40, 24)
+    np.testing.assert_array_equal(info["obs"][:20], rollout.obs)
+    np.testing.assert_array_equal(info["obs"][20:], search.state.store.obs)
+    assert (np.asarray(rollout.obs) != np.asarray(search.state.store.obs)).any()
+
+
+@pytest.mark.compiles
+def test_in_the_warm_up_the_store_is_the_rounds_rollout():
+    """Nothing is evaluated yet, so a store that stayed as it was would keep the steps of θ_0."""
+    search = ppga.begin(config_of("gail", replay_share=0.1, walk_updates=2), demonstrations())
+    after, _, _ = ppga.warm_up(search, 2)
+    assert (np.asarray(after.state.store.action) != np.asarray(search.state.store.action)).any()
+    trained = search.engine.train_policy(search.state, ppga.filled(search), np.eye(3)[0], 2, search.demos, bonus=False)
+    np.testing.assert_array_equal(after.state.store.action, trained.transitions.action)
 
 
 @pytest.mark.compiles

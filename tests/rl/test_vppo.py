@@ -255,6 +255,31 @@ def two_devices():
     return compile_updates(num_devices=2)
 
 
+def test_copies_scaled_together_share_one_norm_and_one_spread():
+    """The released program's reading: the mean loss over all copies, one norm of all gradients, one spread."""
+    rng = np.random.default_rng(0)
+    grads = {"w": rng.normal(size=(K, 4, 2)).astype(np.float32), "b": rng.normal(size=(K, 3)).astype(np.float32)}
+    mean_loss = {name: grad / K for name, grad in grads.items()}
+    norm = np.sqrt(sum(np.square(grad).sum() for grad in mean_loss.values()))
+    for limit in (0.1 * norm, 10.0 * norm):
+        expected = {name: grad * min(1.0, limit / norm) for name, grad in mean_loss.items()}
+        clipped = vppo._clipped_together(grads, jnp.asarray(False), limit)
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), clipped, expected)
+        jax.tree.map(np.testing.assert_array_equal, vppo._clipped_together(grads, jnp.asarray(True), limit), grads)
+    nothing = vppo._clipped_together(jax.tree.map(np.zeros_like, grads), jnp.asarray(False), 1.0)
+    assert all(not np.any(leaf) for leaf in jax.tree.leaves(nothing))
+
+    advantage = rng.normal([[[[0.0]]], [[[5.0]]], [[[-1.0]]]], 2.0, (K, 2, 6, 7)).swapaxes(0, 1).astype(np.float32)
+    mesh = make_mesh(1)
+    normalise = jax.shard_map(
+        lambda x, together: vppo._normalised(x, together), mesh=mesh, in_specs=P(), out_specs=P(), check_vma=False
+    )
+    for together, axes in ((True, (1, 2, 3)), (False, (2, 3))):
+        mean, std = advantage.mean(axis=axes, keepdims=True), advantage.std(axis=axes, keepdims=True)
+        found = normalise(jnp.asarray(advantage), jnp.asarray(together))
+        np.testing.assert_allclose(found, (advantage - mean) / std, atol=1e-4)
+
+
 def test_a_copy_past_its_kl_target_stops_alone():
     # Copy 1 has no reward, so its policy never moves and only its critic goes on learning.
     run = compile_updates(replace(SETTINGS, target_kl=1e-9))
