@@ -75,18 +75,18 @@ def test_the_reward_model_learns_from_rollout_and_store_in_equal_parts():
     assert (np.asarray(after.state.store.obs) != first).any()
 
     model = search.engine.reward.model
-    watched = model._replace(update=lambda key, state, context, demos, steps: (state, {"obs": steps.obs}))
-    rollout = search.engine.rollout(search.state, ppga.filled(search)).transitions
+    watched = model._replace(update=lambda key, state, context, demos, steps: (state, {"seen": steps.action}))
+    rollout = search.engine.rollout(after.state, ppga.filled(after)).transitions
     search.engine.reward.__dict__["model"] = watched
     search.engine.reward.__dict__.pop("update", None)
     try:
-        _, info = search.engine.update_reward(search.state, ppga.filled(search), search.demos, rollout)
+        _, info = search.engine.update_reward(after.state, ppga.filled(after), search.demos, rollout)
     finally:
         search.engine.reward.__dict__["model"] = model
         search.engine.reward.__dict__.pop("update", None)
-    np.testing.assert_array_equal(info["obs"][:20], rollout.obs)
-    np.testing.assert_array_equal(info["obs"][20:], search.state.store.obs)
-    assert (np.asarray(rollout.obs) != np.asarray(search.state.store.obs)).any()
+    np.testing.assert_array_equal(info["seen"][:20], rollout.action)
+    np.testing.assert_array_equal(info["seen"][20:], after.state.store.action)
+    assert (np.asarray(rollout.action) != np.asarray(after.state.store.action)).any()
 
 
 @pytest.mark.compiles
