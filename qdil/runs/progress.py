@@ -27,6 +27,8 @@ class Progress:
         """``live``: draw a bar; None: only if standard error is a terminal."""
         self.config = config
         self.name = f"{config.env} {config.method}"
+        if config.protocol != "paper":
+            self.name += f" ({config.protocol})"
         self.live = sys.stderr.isatty() if live is None else live
         self.bar: tqdm | None = None
         # Number, environment steps and time of the first iteration of this process. Speeds count from there: the time
