@@ -157,47 +157,49 @@ class Engine:
 
         If the phase ends with a number that is not finite, all of it is discarded and ``rolled_back`` is 1.
         """
-        search, config = self.search, self.config
+        search, ppo = self.search, self.config.ppo
         key, learn_key = jax.random.split(state.key)
         weighting = Weighting(weights, np.bool_(tied))  # type: ignore[arg-type]
-        learn_key, numbers, weighting, steps, p_and_q, occupied = laid_out(
-            (
-                learn_key,
-                [np.int32(update) for update in range(updates)],
-                weighting,
-                np.int32(config.ppo.epochs if epochs is None else epochs),
-                np.asarray(self.bonus if bonus else (0.0, 0.0), np.float32),
-                occupied,
-            ),
-            replicated(search.mesh),
+        p_and_q = np.asarray(self.bonus if bonus else (0.0, 0.0), np.float32)
+        numbers, steps = (
+            [np.int32(update) for update in range(updates)],
+            np.int32(ppo.epochs if epochs is None else epochs),
         )
-        reward_learns = demos is not None and self.model.learns and not self.learns_each_iteration
+        arguments = (learn_key, numbers, weighting, steps, p_and_q, occupied)
+        learn_key, numbers, weighting, steps, p_and_q, occupied = laid_out(arguments, replicated(search.mesh))
         before, copies, info = state, search.replicate(state.train_state), None
-        reward_info: dict[str, jax.Array] = {}
         state = state._replace(key=key)
+        reward_info: dict[str, jax.Array] = {}
         for number in numbers:
-            envs, transitions, sample = search.collect(copies, state.stats, state.envs)
-            context = RewardContext(state.stats.normaliser, occupied)
-            memory, rewards = self.reward.compute(state.reward, state.memory, context, p_and_q, transitions)
-            state = state._replace(envs=envs, memory=memory)
+            state, experience = self._experience(copies, state, occupied, p_and_q)
             # With about thirty launched programs in the queue, a launch blocks a thread that a device may need, and the
             # two wait for each other for ever. So the host waits for the previous update here.
             jax.block_until_ready(info)
-            experience = Experience(transitions, sample, rewards)
-            if reward_learns:
-                assert demos is not None
-                rows = transitions if tied else search.steps_of_first_copy(transitions)
+            if demos is not None and self.model.learns and not self.learns_each_iteration:
+                rows = experience.transitions if tied else search.steps_of_first_copy(experience.transitions)
                 state, reward_info = self.update_reward(state, occupied, demos, rows)
             copies, stats, info = search.learn(learn_key, number, copies, state.stats, experience, weighting, steps)
             state = state._replace(stats=stats)
         assert info is not None, "a training phase has at least one update"
-        train_state, theta, healthy = search.first_copy(copies, state.stats)
+        state, theta, healthy = self._end_phase(before, state, copies)
+        return Trained(state, theta, experience.transitions, info, reward_info, 1.0 - healthy, updates)
+
+    def _experience(
+        self, copies: TrainState, state: State, occupied: jax.Array, bonus: jax.Array
+    ) -> tuple[State, Experience]:
+        """A rollout of the copies with its rewards; the robots and what is remembered of them move on."""
+        envs, transitions, sample = self.search.collect(copies, state.stats, state.envs)
+        context = RewardContext(state.stats.normaliser, occupied)
+        memory, rewards = self.reward.compute(state.reward, state.memory, context, bonus, transitions)
+        return state._replace(envs=envs, memory=memory), Experience(transitions, sample, rewards)
+
+    def _end_phase(self, before: State, state: State, copies: TrainState) -> tuple[State, jax.Array, jax.Array]:
+        """The state after a phase, every copy's θ, 1.0; if a number is not finite, the state ``before`` it and 0.0."""
+        train_state, theta, healthy = self.search.first_copy(copies, state.stats)
         if bool(healthy):
-            state = state._replace(train_state=train_state)
-        else:
-            envs, theta = search.discard_update(before.envs, before.train_state.policy)
-            state = before._replace(key=key, envs=envs)
-        return Trained(state, theta, transitions, info, reward_info, 1.0 - healthy, updates)
+            return state._replace(train_state=train_state), theta, healthy
+        envs, theta = self.search.discard_update(before.envs, before.train_state.policy)
+        return before._replace(key=state.key, envs=envs), theta, healthy
 
     # Candidates
 
