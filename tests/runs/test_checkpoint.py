@@ -86,10 +86,17 @@ def demos(uninterrupted, tmp_path_factory) -> Path:
     return make_demos("walker2d", "smoke", 1, 1, uninterrupted, tmp_path_factory.mktemp("demos") / "demos.npz")
 
 
-@pytest.mark.parametrize("method", ["mconbo-gail", "vail", "pwil"])
-def test_an_imitator_resumes_as_if_nothing_had_happened(method, demos, tmp_path):
-    """Its reward model, the optimiser and the memory of unfinished episodes are restored, too."""
-    config = make_config("walker2d", method, "smoke", iterations=3)
+RESUMED = [
+    ("mconbo-gail", {"protocol": "improved", "bonus_scope": "step"}),  # a store of steps, and counts of visits
+    ("mconbo-vail", {"protocol": "released", "threshold_min": 1e6}),  # restarts in every iteration
+    ("pwil", {}),
+]
+
+
+@pytest.mark.parametrize(("method", "changes"), RESUMED)
+def test_an_imitator_resumes_as_if_nothing_had_happened(method, changes, demos, tmp_path):
+    """Its reward model, the optimiser and everything that is remembered of steps are restored, too."""
+    config = make_config("walker2d", method, "smoke", iterations=3, **changes)
     train(config, tmp_path / "whole", demos)
     with pytest.raises(Stopped):
         train(config, tmp_path / "resumed", demos, stop_after(2))
