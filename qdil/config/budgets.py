@@ -9,7 +9,22 @@ from qdil.errors import ConfigError
 from qdil.methods import parse_method
 from qdil.robots.register import backends_of, count_measures
 
+# What the budgets for two cores share: few robots, and a search that they can drive.
+TWO_CORES: dict[str, Any] = {
+    "sigma0": 2.0,
+    "archive_learning_rate": 1.0,
+    "sample_actions": False,
+    "eval_chunk_steps": 25,
+    "eval_chunks_per_sync": 4,
+    "eval_batch_size": 48,
+    "num_envs": 192,
+    "gamma": 0.993,
+    "target_kl": 0.02,
+    "threshold_min": 0.0,
+}
+
 LAPTOP: dict[str, Any] = {
+    **TWO_CORES,
     "iterations": 240,
     "warmup_updates": 300,
     "gradient_updates": 3,
@@ -17,20 +32,10 @@ LAPTOP: dict[str, Any] = {
     "candidates": 96,
     "episodes": 4,
     "cells": 20,
-    "sigma0": 2.0,
-    "archive_learning_rate": 1.0,
-    "sample_actions": False,
-    "eval_chunk_steps": 25,
-    "eval_chunks_per_sync": 4,
-    "eval_batch_size": 48,
     "actor_hidden": (64, 64),
     "critic_hidden": (64, 64),
-    "num_envs": 192,
     "rollout_length": 64,
     "episode_length": 300,
-    "gamma": 0.993,
-    "target_kl": 0.02,
-    "threshold_min": 0.0,
     "reward_steps": 20,
 }
 
@@ -58,22 +63,13 @@ SMOKE: dict[str, Any] = {
 
 # The paper's units (episodes of 1000 steps, 50 x 50 cells, its networks) with few robots and short searches.
 DESK: dict[str, Any] = {
+    **TWO_CORES,
     "iterations": 200,
     "warmup_updates": 200,
     "gradient_updates": 5,
     "walk_updates": 5,
     "candidates": 192,
     "episodes": 4,
-    "sigma0": 2.0,
-    "archive_learning_rate": 1.0,
-    "sample_actions": False,
-    "eval_chunk_steps": 25,
-    "eval_chunks_per_sync": 4,
-    "eval_batch_size": 48,
-    "num_envs": 192,
-    "gamma": 0.993,
-    "target_kl": 0.02,
-    "threshold_min": 0.0,
     "reward_steps": 30,
 }
 

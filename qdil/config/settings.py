@@ -69,7 +69,7 @@ class PPGA:
         "xnes", "the walk's objective: weighted by xnes (Algorithm 1) or fitness alone (released program)"
     )
     fitness_coefficient: Literal["folded", "signed"] = setting(
-        "folded", "c_0 of a candidate and the walk: |c_0|, as xNES is told (section 4.1), or signed (released program)"
+        "folded", "c_0 of a candidate and the walk: |c_0|, from which xNES learns (section 4.1), or signed (released)"
     )
     xnes_center: Literal["zero", "random"] = setting(
         "zero", "xNES starts at 0 (Algorithm 1), or at a point drawn from [0,2] × [-2,2]^k (released program)"

@@ -41,7 +41,7 @@ def pick(key: jax.Array, share: float, places: int, episodes: int, episode_lengt
 def keep(
     store: Transitions, picks: Picks, before: jax.Array, transitions: Transitions, counted: jax.Array
 ) -> Transitions:
-    """The ``store`` (T, E) after those of the picked steps are put in that C chunks of an evaluation simulated.
+    """The ``store`` (T, E) with the picked steps that C chunks of an evaluation have simulated.
 
     ``before`` (N,) is the number of steps that each of N episodes had before them. ``transitions`` and ``counted``
     (C, T', N) are as ``rl.evaluate.advance`` returns them. Every step is kept or not whatever the chunks are, so that

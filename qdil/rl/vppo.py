@@ -144,7 +144,7 @@ def from_copies(x: jax.Array, axis: int = 0) -> jax.Array:
 
 
 def steps_of_first_copy(transitions: Transitions, copies: int) -> Transitions:
-    """Steps (T, E) in which those of copy 0's robots stand K times, in place of the steps of all other copies."""
+    """Steps (T, E) of copy 0's robots alone: each is repeated K times, so that the shape stays the same."""
 
     def repeated(x: jax.Array) -> jax.Array:
         own = to_copies(x, copies, axis=1)[0]
